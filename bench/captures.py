@@ -23,7 +23,7 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def _signals(flight: free_flyer.FreeFlightSignals, rng: np.random.Generator) -> 
     return tick_signals(*sampled[:4], sampled[4:], case.SAMPLES_PER_TICK, case.SMOOTHING_s)
 
 
-def _online(signals: FlightSignals, held: bool) -> RecursiveExiddm:
+def _online(signals: FlightSignals, held: bool) -> MotionFilter:
     model = case.vehicle()
     return estimator(model, signals, *case.priors(model, True), held=held)
 

@@ -23,8 +23,8 @@ from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
-from onboard.identification.free_flyer.batch import Exiddm, PayloadFit
-from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit
+from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError
 
@@ -61,8 +61,8 @@ def fly(seed: int) -> ResyncFlight:
     """One parabola, both ways."""
     rng, model, body = np.random.default_rng(seed), vehicle(), BOXES[PAYLOAD_KG]
 
-    def build(signals: FlightSignals, imu_prior: ImuPrior) -> Exiddm:
-        return free_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, {}, imu_prior)
+    def build(signals: FlightSignals, imu_prior: ImuPrior) -> MotionFit:
+        return free_fit(model, "imu_base", signals, PAYLOAD_SIGMA, {}, imu_prior)
 
     motion = free_flyer.JointMotion.draw(rng)
     flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_S)

@@ -25,7 +25,7 @@ from onboard.dynamics.model.payload import BodyEstimate, numbers_of, standard_co
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.ground.campaign.results import FlightAnswer
-from onboard.identification.free_flyer.batch import Exiddm
+from onboard.identification.free_flyer.batch import MotionFit
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.quantities import BODY, BODY_UNITS
 from onboard.identification.standing import Level
@@ -139,14 +139,14 @@ def priors(model: VehicleModel, real: bool) -> tuple[dict[str, Floats], ImuPrior
     return covariance, IMU_PRIOR
 
 
-def bound(exiddm: Exiddm, model: VehicleModel, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
+def bound(motion_fit: MotionFit, model: VehicleModel, recorded: Recorded, body: free_flyer.Body) -> BodyEstimate:
     """Cramer and Rao's, at the drawn values of all nuisances, which changes it by their own few per cent."""
     signals, flight = recorded.signals, recorded.flight
     chi = model.chi.copy()
     chi[model.payload_columns()] = standard_of(_rigid(body))
     first = round((DURATION_s - len(signals.q) * signals.period_s) / 2.0 / (flight.time_s[1] - flight.time_s[0]))
     rate = model.pose_in_base("imu_base")[0] @ flight.rate_rad_s[first]
-    return exiddm.bound(exiddm.parameters(_momentum(model, chi, signals, rate), _rigid(body)))
+    return motion_fit.bound(motion_fit.parameters(_momentum(model, chi, signals, rate), _rigid(body)))
 
 
 def answers(body: free_flyer.Body, found: BodyEstimate | None, least: BodyEstimate) -> tuple[FlightAnswer, ...]:

@@ -33,7 +33,7 @@ from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightAnswer, FlightResult
 from onboard.identification.standing import Level
-from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, air_bearing_exiddm, drag_of
+from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, drag_of, table_fit
 
 Floats = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     signals = tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s)
     model = vehicle()
     links, prior = priors(model)
-    exiddm = air_bearing_exiddm(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
+    motion_fit = table_fit(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
     names, units = ("m", "c_x", "c_y", "I_zz", "Fv", "Fc"), ("kg", "m", "m", "kg m^2", "N s/m", "N")
     own = slice(2 * dragging, 2 * dragging + 2)
     drag = drags[dragging]
@@ -96,7 +96,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
         for name, unit, true in zip(names, units, truth, strict=True)
     ]
     try:
-        found = exiddm.fit()
+        found = motion_fit.fit()
     except ConvergenceError as error:
         return FlightResult(tuple(one._replace(why=str(error)) for one in told))
     fit, payload = drag_of(found, prior.pucks), found.payload

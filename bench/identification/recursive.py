@@ -1,4 +1,4 @@
-"""The recursive non-linear ExIDDM on a free-flyer's flights, beside the maximum likelihood.
+"""The filter on a free-flyer's flights, beside the maximum likelihood.
 
 Both are shown against the same Cramer-Rao bound.
 """
@@ -15,12 +15,12 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightResult
-from onboard.identification.free_flyer.batch import Exiddm
-from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.batch import MotionFit
+from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 
 Floats = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ Floats = NDArray[np.float64]
 class Inputs(NamedTuple):
     """What a method may take of a flight."""
 
-    exiddm: Exiddm
-    online: RecursiveExiddm
+    motion_fit: MotionFit
+    online: MotionFilter
     ticks: Ticks
 
 
@@ -45,15 +45,15 @@ def ticks_of(signals: FlightSignals, first_s: float = 0.0) -> Ticks:
 
 def estimator(
     model: VehicleModel, signals: FlightSignals, covariance: dict[str, Floats], imu_prior: ImuPrior, held: bool
-) -> RecursiveExiddm:
+) -> MotionFilter:
     """One that knows nothing yet."""
     predictor = ImuPredictor(model, "imu_base", signals.period_s, signals.samples, covariance, imu_prior)
-    return RecursiveExiddm(predictor, case.PAYLOAD_SIGMA, held)
+    return MotionFilter(predictor, case.PAYLOAD_SIGMA, held)
 
 
 def likelihood(told: Inputs) -> BodyEstimate:
     """The maximum likelihood of the whole flight."""
-    return told.exiddm.fit().payload
+    return told.motion_fit.fit().payload
 
 
 def recursive(told: Inputs) -> BodyEstimate | None:
@@ -82,11 +82,11 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     body = case.grown_tool(seed) if settings["payload"] == "tool" else case.BOXES[settings["payload"]]
     recorded, model = case.record(body, real, seed), case.vehicle()
     signals, known = recorded.signals, case.priors(model, real)
-    exiddm = free_exiddm(model, "imu_base", signals, case.PAYLOAD_SIGMA, *known)
-    told = Inputs(exiddm, estimator(model, signals, *known, held=True), ticks_of(signals))
+    motion_fit = free_fit(model, "imu_base", signals, case.PAYLOAD_SIGMA, *known)
+    told = Inputs(motion_fit, estimator(model, signals, *known, held=True), ticks_of(signals))
     try:
         found = METHODS[settings["method"]](told)
     except ConvergenceError:
         found = None
     changes = ("change",) * len(told.online.changes)
-    return FlightResult(case.answers(body, found, case.bound(exiddm, model, recorded, body)), events=changes)
+    return FlightResult(case.answers(body, found, case.bound(motion_fit, model, recorded, body)), events=changes)

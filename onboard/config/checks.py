@@ -166,7 +166,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     _check_body(vehicle, fail)
     _check_parabola(vehicle, fail)
     if file.estimation.method == "exiddm":
-        _check_exiddm(vehicle, fail)
+        _check_free_flyer(vehicle, fail)
     if file.estimation.method == "instrumental":
         where = ["estimation", "method"]
         if not file.vehicle.base_kind.falls:
@@ -249,7 +249,7 @@ def _check_telemetry(vehicle: Vehicle, fail: Fail) -> None:
             fail(["telemetry", f"{kind}_apid"], f"APID {apid} is that of {taken[apid]} packets too; give it another")
 
 
-def _check_exiddm(vehicle: Vehicle, fail: Fail) -> None:
+def _check_free_flyer(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
     if file.vehicle.base not in {*Prediction}:

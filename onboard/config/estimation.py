@@ -228,7 +228,7 @@ class Carried(Section):
     sensitivity: list[list[float]]
 
 
-class ExiddmKeys(Section):
+class FreeFlyerKeys(Section):
     """The non-linear estimator: payload state at the start, prior of the payload, rate of false alarms."""
 
     held_at_start: bool = True
@@ -282,7 +282,7 @@ class Estimation(Section):
     motor: dict[str, MotorKeys] = Field(default_factory=dict)
     nuisance: list[str] = Field(default_factory=list)
     carried: Carried | None = None
-    exiddm: ExiddmKeys = Field(default_factory=ExiddmKeys.model_construct)
+    exiddm: FreeFlyerKeys = Field(default_factory=FreeFlyerKeys.model_construct)
     disturbance: DisturbanceKeys = Field(default_factory=DisturbanceKeys.model_construct)
     useful: UsefulKeys = Field(default_factory=UsefulKeys.model_construct)
     imu_prior: ImuPriorKeys = Field(

@@ -15,7 +15,7 @@ from onboard.section import NotNegative, Positive
 class MotorDevice(JointDevice):
     """It measures a joint, and its motor's velocity and torque where wanted.
 
-    ``torque_sigma_N_m``: by it the torque is a row, and to the ExIDDM of a free base an instrument, whose friction,
+    ``torque_sigma_N_m``: by it the torque is a row, and to the prediction of a free base an instrument, whose friction,
     rotor and offset (``Fc_``, ``Fv_``, ``Ia_<joint>``, ``bias_<device>_torque``) have their sigmas in
     ``[estimation.prior.absolute]``.
     """

@@ -9,7 +9,7 @@ from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.errors import UnknownFrameError
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
     Friction,
@@ -65,7 +65,7 @@ def test_nothing_beyond_a_cut_is_refused():
 def test_derivatives_of_all_instruments_are_finite_differences():
     vehicle = config.load(config.packaged("dymaflex"))
     model = build_model(vehicle)
-    covariance, prior, _ = exiddm_prior(vehicle, model)
+    covariance, prior, _ = free_flyer_prior(vehicle, model)
     cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
     friction = Friction(1, 0.3, 0.2, 0.1)
     torque = FurtherCell("torque", "joint_2", (0, 0, 0, 0, 1, 0), 5, CellPrior(0.1, 0.0, 0.01, 2e-4), friction)

@@ -10,7 +10,7 @@ from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
 from onboard.flight import hil
-from onboard.ground.identify.kinds.free_flyer_log import identify_exiddm
+from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.captured_body import NAMES
@@ -177,7 +177,7 @@ def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Pa
     assert 0.0 < mass["high"] - mass["low"] < 0.2 * mass["truth"]
     assert "joint_2: its angle jumps" in mass["standing"]
     assert ("scale_joint_2" in mass["standing"]) == (kind == "wrong")
-    found = identify_exiddm(config.load(config.packaged("dymaflex")), flown.log)
+    found = identify_free_flyer(config.load(config.packaged("dymaflex")), flown.log)
     [again] = (one for one in found.answers if one.name == "m_payload")
     assert again.low < mass["truth"] < again.high
     assert again.high - again.low < 0.2 * mass["truth"]

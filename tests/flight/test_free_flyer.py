@@ -14,10 +14,10 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.bring_in.importer import import_recordings
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.recording.reader import LogReader
 from onboard.regressor.rows import BaseMotion
 from onboard.regressor.signals import Signals
@@ -146,7 +146,7 @@ def test_a_checkpoint_in_mid_flight_gives_the_same_answers_to_the_bit(vehicle, l
         again += estimator.process(*step)
         if k % 30 == 29:
             estimator = pickle.loads(pickle.dumps(estimator))
-    assert isinstance(estimator.online, ExiddmIdentifier)
+    assert isinstance(estimator.online, MotionIdentifier)
     assert len(again) == len(answers) > 100
     for (channel, rows), (other, theirs) in zip(again, answers, strict=True):
         assert channel == other
@@ -160,7 +160,7 @@ def still(n, first_s=0.0):
 
 
 def test_refused_ticks_are_marked_and_counted(vehicle):
-    online, _ = build_exiddm(vehicle)
+    online, _ = build_free_flyer(vehicle)
     signals = still(50)
     signals.measured[3, 2] = np.nan
     excluded = np.zeros(50, np.int64)
@@ -176,17 +176,17 @@ def test_refused_ticks_are_marked_and_counted(vehicle):
 
 
 def test_what_the_data_do_not_determine_is_not_supported(vehicle):
-    online, _ = build_exiddm(vehicle)
-    exiddm = online.exiddm
+    online, _ = build_free_flyer(vehicle)
+    ekf = online.ekf
     assert len(online.estimate().quantities) == 10
     assert all("nothing is held" in quantity.note for quantity in online.estimate().quantities)
-    exiddm.held, exiddm.state, exiddm.ticks_used = True, np.zeros(len(exiddm.predictor.names)), 400
-    exiddm.state[3:13] = standard_of(RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2))
+    ekf.held, ekf.state, ekf.ticks_used = True, np.zeros(len(ekf.predictor.names)), 400
+    ekf.state[3:13] = standard_of(RigidBody(BOX.mass_kg, BOX.centre_of_mass_m, BOX.inertia_kg_m2))
 
     def told(mass_sigma_kg, inertia_sigma):
         sigma = np.array([mass_sigma_kg, *[0.01] * 3, *[inertia_sigma] * 6])
-        exiddm.covariance = exiddm.covariance.copy()
-        exiddm.covariance[3:13, 3:13] = np.diag(sigma**2)
+        ekf.covariance = ekf.covariance.copy()
+        ekf.covariance[3:13, 3:13] = np.diag(sigma**2)
         found = online.estimate().quantities
         assert all(np.isfinite([q.mean, q.sigma, q.low, q.high]).all() == q.supported for q in found)
         assert all((q.note == "") == q.supported for q in found)
@@ -195,13 +195,13 @@ def test_what_the_data_do_not_determine_is_not_supported(vehicle):
     assert told(0.1, 0.01) == [True] * 10
     assert told(0.1, 5.0) == [True] * 4 + [False] * 6  # half of what a payload could be at all
     assert told(2.0, 0.01) == [True] + [False] * 9  # a mass that one cannot divide by
-    exiddm.state = np.where(np.arange(exiddm.state.size) == 3, -1.0, exiddm.state)
+    ekf.state = np.where(np.arange(ekf.state.size) == 3, -1.0, ekf.state)
     assert not any(quantity.supported for quantity in online.estimate().quantities)
     assert "no centre of mass" in online.estimate().quantities[0].note
 
 
 def test_a_phase_tells_that_the_payload_was_taken_and_let_go(vehicle):
-    online, _ = build_exiddm(vehicle)
+    online, _ = build_free_flyer(vehicle)
     attached = np.repeat([False, True, False], 40)
     online.update(still(120), attached, np.zeros(120, np.int64))
     online.update(still(120, 1.2), np.zeros(120, np.bool_), np.zeros(120, np.int64))
@@ -223,7 +223,7 @@ def test_a_phase_tells_that_the_payload_was_taken_and_let_go(vehicle):
 def test_what_does_not_fit_is_refused_with_its_remedy(tmp_path, old, new, message):
     assert ESTIMATION.count(old) == 1
     with pytest.raises(config.ConfigError, match=message):
-        build_exiddm(config.load(vehicle_file(tmp_path, ESTIMATION.replace(old, new))))
+        build_free_flyer(config.load(vehicle_file(tmp_path, ESTIMATION.replace(old, new))))
 
 
 def test_a_base_that_is_not_free_and_a_vehicle_without_a_payload_are_refused(tmp_path):

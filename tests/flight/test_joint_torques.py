@@ -11,12 +11,12 @@ from onboard import config
 from onboard.cli import main
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm, build_online
+from onboard.flight.estimate.problem.identification import build_free_flyer, build_online
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.mission import mission_table
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from tests.flight.missions import Result
 
 OVER = '[payload]\nmass_kg = [4.0, 5.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'
@@ -66,14 +66,14 @@ def test_friction_of_each_drive_is_found(vehicle: config.Vehicle, flown: Result)
     estimator = Estimator(vehicle)
     for _ in feed(estimator, flown.log, 1.0):
         pass
-    assert isinstance(estimator.online, ExiddmIdentifier)
-    exiddm = estimator.online.exiddm
-    assert exiddm.state is not None
+    assert isinstance(estimator.online, MotionIdentifier)
+    ekf = estimator.online.ekf
+    assert ekf.state is not None
     for joint in ("joint_1", "joint_2"):
-        at = exiddm.predictor.names.index(f"Fc_{joint}_torque")
-        truth, sigma = flown.flown.truth["drives"][joint]["coulomb_n_m"], exiddm.covariance[at, at] ** 0.5
+        at = ekf.predictor.names.index(f"Fc_{joint}_torque")
+        truth, sigma = flown.flown.truth["drives"][joint]["coulomb_n_m"], ekf.covariance[at, at] ** 0.5
         assert sigma < 0.1 * truth
-        assert abs(exiddm.state[at] - truth) < 4.0 * sigma
+        assert abs(ekf.state[at] - truth) < 4.0 * sigma
 
 
 def test_a_torque_that_reads_half_is_left_out_by_its_name(vehicle: config.Vehicle, tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_torque_is_drawn_as_one(vehicle: config.Vehicle) -> None:
 
 def test_a_torque_without_friction_has_none(vehicle: config.Vehicle) -> None:
     own = {f"joint_{n}": {"torque_friction": False, "torque_still_rad_s": 0.0} for n in (1, 3)}
-    predictor = build_exiddm(changed(vehicle, {"device": own}))[0].exiddm.predictor
+    predictor = build_free_flyer(changed(vehicle, {"device": own}))[0].ekf.predictor
     told = {name: sigma for name, sigma in zip(predictor.names, predictor.sigma, strict=True) if "_torque" in name}
     told = {name: sigma for name, sigma in told.items() if not name.startswith("disturbance")}
     assert told == {

@@ -15,7 +15,7 @@ from onboard.cli import main
 from onboard.devices.registry import DEVICES
 from onboard.flight import hil
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.estimate.readings.tracked import TrackedTicks
@@ -112,19 +112,19 @@ def test_the_delay_is_that_of_the_least_delayed_message_and_half_of_a_poll():
 
 def test_a_free_base_has_its_poses_as_rows_of_the_flight_and_not_of_what_is_fitted_afterwards():
     vehicle = tracked()
-    online = build_exiddm(vehicle)[0]
+    online = build_free_flyer(vehicle)[0]
     assert online.row_names[-7:] == (
         *(f"attitude_{part}_tracker" for part in "wxyz"),
         *(f"position_{axis}_tracker" for axis in "xyz"),
     )
-    assert online.exiddm.predictor.moving.size == 10
+    assert online.ekf.predictor.moving.size == 10
     assert Estimator(vehicle).online.row_names == online.row_names
-    bare = build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
-    assert build_exiddm(vehicle, tracked=False)[0].exiddm.predictor.names == bare.names
+    bare = build_free_flyer(config.load(config.packaged("dymaflex")))[0].ekf.predictor
+    assert build_free_flyer(vehicle, tracked=False)[0].ekf.predictor.names == bare.names
 
 
 def test_with_thrusters_it_is_recorded_only():
-    assert build_exiddm(tracked("dymaflex_wheels"))[0].exiddm.predictor.moving.size == 0
+    assert build_free_flyer(tracked("dymaflex_wheels"))[0].ekf.predictor.moving.size == 0
 
 
 OVER = '[payload]\nmass_kg = [1.0, 2.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'
@@ -178,7 +178,7 @@ def test_it_is_fused_and_replays_to_the_bit(flown: Result, vehicle: config.Vehic
     assert flown.table["accounted"], flown.table["channels"]
     assert not flown.events("left_out")
     assert replay(flown.path).identical
-    assert Estimator(vehicle).online.exiddm.predictor.moving.size == 10
+    assert Estimator(vehicle).online.ekf.predictor.moving.size == 10
 
 
 @pytest.mark.parametrize("lengths", [1.0, LENGTHS])

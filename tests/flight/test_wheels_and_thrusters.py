@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_exiddm, build_online
+from onboard.flight.estimate.problem.identification import build_free_flyer, build_online
 from onboard.ground.identify.replay.replay import replay
 from tests.flight.missions import Result, fly
 from tests.flight.test_dymaflex import SHORT
@@ -60,14 +60,14 @@ def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
 
 
 def test_a_wheel_is_a_rotor_with_scale_and_delay_of_its_device() -> None:
-    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    predictor = build_free_flyer(config.load(config.packaged("dymaflex_wheels")))[0].ekf.predictor
     own = {name: sigma for name, sigma in zip(predictor.names, predictor.sigma, strict=True) if "wheel" in name}
     expected = {f"{kind}_{wheel}": sigma for wheel in WHEELS for kind, sigma in (("scale", 5e-3), ("delay", 2e-4))}
     assert own == pytest.approx(expected)
 
 
 def test_a_thruster_has_the_scale_of_its_device_and_the_wrench_of_its_frame() -> None:
-    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    predictor = build_free_flyer(config.load(config.packaged("dymaflex_wheels")))[0].ekf.predictor
     own = {name: sigma for name, sigma in zip(predictor.names, predictor.sigma, strict=True) if "jet" in name}
     assert own == {"scale_jet_1": 0.05, "scale_jet_2": 0.05}
     for thruster, (force, place) in zip(predictor.thrusters, JETS.values(), strict=True):
@@ -78,7 +78,7 @@ def test_a_thruster_has_the_scale_of_its_device_and_the_wrench_of_its_frame() ->
 
 def test_derivatives_with_thrust_are_finite_differences() -> None:
     """Of all instruments: two IMUs and the cell at the wrist."""
-    predictor = build_exiddm(config.load(config.packaged("dymaflex_wheels")))[0].exiddm.predictor
+    predictor = build_free_flyer(config.load(config.packaged("dymaflex_wheels")))[0].ekf.predictor
     rng, n = np.random.default_rng(5), 24
     t = 0.01 * np.arange(n)[:, None] + 3.0 * np.arange(8)
     q, dq, ddq = 0.3 * np.sin(2.0 * t), 0.6 * np.cos(2.0 * t), -1.2 * np.sin(2.0 * t)

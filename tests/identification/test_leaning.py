@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.identification import leaning
-from onboard.identification.free_flyer.online import ExiddmIdentifier, keys_of
+from onboard.identification.free_flyer.online import MotionIdentifier, keys_of
 from onboard.identification.leaning import Causes
 
 SIGMA = np.array([np.nan, 0.5, 0.5, 2.0, 0.0])
@@ -14,8 +14,8 @@ KEYS = ("", "one", "one", "other", "exact")
 
 
 @pytest.fixture(scope="module")
-def identifier() -> ExiddmIdentifier:
-    return build_exiddm(config.load(config.packaged("dymaflex")))[0]
+def identifier() -> MotionIdentifier:
+    return build_free_flyer(config.load(config.packaged("dymaflex")))[0]
 
 
 def test_the_effect_of_a_key_is_what_its_sigma_adds_to_the_variance(rng: np.random.Generator) -> None:
@@ -47,9 +47,9 @@ def test_a_part_that_is_doubled_is_noticed(monkeypatch: pytest.MonkeyPatch) -> N
     assert causes.said(np.array([[0.3, 0.25]]), np.ones(1), np.ones(1)) == ("",)
 
 
-def test_every_stated_constant_of_a_flight_has_its_key(identifier: ExiddmIdentifier) -> None:
+def test_every_stated_constant_of_a_flight_has_its_key(identifier: MotionIdentifier) -> None:
     """What changes in flight has none."""
-    predictor = identifier.exiddm.predictor
+    predictor = identifier.ekf.predictor
     keys = dict(zip(predictor.names, keys_of(predictor), strict=True))
     for name, key in (
         ("base_inertial_0", "prior.link.base"),

@@ -13,7 +13,7 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
@@ -96,7 +96,7 @@ def random_predictor(seed: int) -> ImuPredictor:
     """A packaged free-flyer with and without errors of joints, load cells, torques, IMUs, thrusters, disturbances."""
     rng, vehicle = np.random.default_rng(seed), config.load(config.packaged("dymaflex"))
     model = build_model(vehicle)
-    covariance, prior, _ = exiddm_prior(vehicle, model)
+    covariance, prior, _ = free_flyer_prior(vehicle, model)
     some = {name: covariance[name] for name in list(covariance)[: seed % 3 * 2]}
     cell = FurtherCell("cell", "link_5", (0.6, 0.5, 0.2, 0.3, -0.7, 0.9), 5, CellPrior(0.03, 1e-4, 0.0025, 2e-4))
     rubs = Friction(1, 0.3, 0.2, 0.1)

@@ -38,7 +38,7 @@ TABLES: dict[str, type[Section]] = {
     "[estimation.masses]": estimation.Masses,
     "[estimation.motor.NAME]": estimation.MotorKeys,
     "[estimation.masses.drawing.NAME]": estimation.LinkTolerance,
-    "[estimation.exiddm]": estimation.ExiddmKeys,
+    "[estimation.exiddm]": estimation.FreeFlyerKeys,
     "[estimation.disturbance]": estimation.DisturbanceKeys,
     "[estimation.useful]": estimation.UsefulKeys,
     "[estimation.imu_prior]": estimation.ImuPriorKeys,

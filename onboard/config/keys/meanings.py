@@ -181,7 +181,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     estimation.Prior: {
         "relative": _M("Relative sigma of all parameters of links not weighed; 0: exact.", "a link was measured"),
         "absolute": _M(
-            "Absolute sigma of the other columns, SI, by name; by ExIDDM: of friction and offset of joint torques.",
+            "Absolute sigma of the other columns, SI, by name; by prediction: of friction and offset of joint torques.",
             "a bias is known to be small",
         ),
         "link": _M("How each link was measured, in place of `relative`; ExIDDM takes links not in it for exact."),
@@ -217,7 +217,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "covariance": _M("Their covariance."),
         "sensitivity": _M("Of each to what is considered and no part of the covariance."),
     },
-    estimation.ExiddmKeys: {
+    estimation.FreeFlyerKeys: {
         "held_at_start": _M("Whether a payload is held when the flight begins.", "it is caught in flight: false"),
         "false_alarms_per_hour": _M("Of captures and ejections that are none.", "later alarms matter less, or more"),
         "payload_mass_sigma_kg": _M(

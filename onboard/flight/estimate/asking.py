@@ -22,12 +22,12 @@ from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.policy import HALF
-from onboard.flight.estimate.problem.identification import build_exiddm
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.flight.estimate.problem.identification import build_free_flyer
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.further import TURNING_rad_s
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.free_flyer.segment_choice import Asked, after, choose, in_the_end, reduced, shares
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
@@ -69,9 +69,9 @@ class Asking:
     ) -> None:
         mission = vehicle.file.mission
         assert mission is not None
-        if not isinstance(online, ExiddmIdentifier):
+        if not isinstance(online, MotionIdentifier):
             raise config.ConfigError(f'{vehicle.label}: [mission] needs method = "exiddm" and a base that is free')
-        predictor = online.exiddm.predictor
+        predictor = online.ekf.predictor
         if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
             text = "segments were made for another vehicle file: make them again with heft plan --segments"
             raise config.ConfigError(f"{vehicle.label}: {text}")
@@ -84,10 +84,10 @@ class Asking:
                 raise config.ConfigError(f"{vehicle.label}: until {goal.name}: the quantities are {known}")
         self._text = mission.until
         self.prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
-        self.prior[PAYLOAD, PAYLOAD] = np.diag(online.exiddm.payload_sigma**2)
+        self.prior[PAYLOAD, PAYLOAD] = np.diag(online.ekf.payload_sigma**2)
         self.prior[RATE, RATE] = TURNING_rad_s**2 * np.eye(3)
-        identifier, _ = build_exiddm(vehicle.with_row_rate(library.ticks_hz))
-        self._predictor = identifier.exiddm.predictor  # of the segments, at their coarse ticks
+        identifier, _ = build_free_flyer(vehicle.with_row_rate(library.ticks_hz))
+        self._predictor = identifier.ekf.predictor  # of the segments, at their coarse ticks
         self._motions = [_motion(library, k) for k in range(len(library.names))]
         self.own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
         self._turn = 0  # segment that is linearised next
@@ -111,36 +111,36 @@ class Asking:
             rate: of the base by its gyro, (3,), rad/s.
             online: the estimator.
         """
-        assert isinstance(online, ExiddmIdentifier)
-        exiddm = online.exiddm
-        if len(exiddm.changes) != self._changes:  # another payload, or none: all begins anew
-            self._changes, self.since_change, self._met, self._unmoved = len(exiddm.changes), 0, 0, 0
+        assert isinstance(online, MotionIdentifier)
+        ekf = online.ekf
+        if len(ekf.changes) != self._changes:  # another payload, or none: all begins anew
+            self._changes, self.since_change, self._met, self._unmoved = len(ekf.changes), 0, 0, 0
             self._over, self._held_s, self._idle_s, self.ratios = False, None, None, []
             self.own = [None] * len(self.own)
-        if exiddm.held is False:
-            known = self._known(exiddm, online.estimate(), float(np.linalg.norm(rate)))
+        if ekf.held is False:
+            known = self._known(ekf, online.estimate(), float(np.linalg.norm(rate)))
             ready = self._rests(joints) and bool(np.isfinite(rate).all())
-            released = any(change.kind == "ejection" for change in exiddm.changes)
+            released = any(change.kind == "ejection" for change in ekf.changes)
             return self._wait(now_ns) if released else self._probe(now_ns, time_s, known, ready=ready)
         if self._over:
             return []
         self._held_s = time_s if self._held_s is None else self._held_s
         estimate = online.estimate()
-        known = self._known(exiddm, estimate, float(np.linalg.norm(rate)))
+        known = self._known(ekf, estimate, float(np.linalg.norm(rate)))
         now = known.asked.ratio(known.widened * known.covariance[PAYLOAD, PAYLOAD])
-        usable = exiddm.settled() and not online.findings().against
+        usable = ekf.settled() and not online.findings().against
         self._met = self._met + 1 if usable and self._is_met(estimate, known.asked) else 0
         if self._met >= _STEADY:
             self._over, self._asks = True, False
             took = f"{time_s - self._held_s:.0f} s after the payload was held, {self.since_change} segments"
             return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
-        self._linearise(exiddm)
+        self._linearise(ekf)
         self.moved |= bool((np.abs(joints[1]) > RESTS_rad_s).any())
         rests = time_s >= self._until_s and self._rests(joints) and bool(np.isfinite(rate).all())
         why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
             return self._give_up(now_ns, time_s, now, why)
-        solved = exiddm.state is not None and exiddm.settled()
+        solved = ekf.state is not None and ekf.settled()
         return self._ask(now_ns, time_s, known, now, solved=solved) if rests else []
 
     def _wait(self, now_ns: int) -> list[Batch]:
@@ -161,13 +161,13 @@ class Asking:
             return [event(now_ns, Severity.WARNING, "goal_waits", "estimation", text)]
         return self._ask(now_ns, time_s, known, known.asked.ratio(known.covariance[PAYLOAD, PAYLOAD]), solved=False)
 
-    def _linearise(self, exiddm: RecursiveExiddm) -> None:
+    def _linearise(self, ekf: MotionFilter) -> None:
         """Linearise the next segment in turn about the present estimate; one segment a step."""
-        if exiddm.state is None or not exiddm.holds or not exiddm.state[PAYLOAD][0] > 0.0:
+        if ekf.state is None or not ekf.holds or not ekf.state[PAYLOAD][0] > 0.0:
             return
         k, self._turn = self._turn, (self._turn + 1) % len(self.own)
         with np.errstate(over="ignore", invalid="ignore"):  # a state that is no motion is not used
-            now = self._predictor.predict(*self._motions[k], exiddm.state, self.library.cyclic[k])
+            now = self._predictor.predict(*self._motions[k], ekf.state, self.library.cyclic[k])
         if now.moderate:
             whitened = now.jacobian / self.library.sigma[k][:, :, None]
             self.own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
@@ -188,19 +188,19 @@ class Asking:
         q, dq = joints
         return bool(np.abs(q - self.library.posture).max() < _NEAR_rad and np.abs(dq).max() < RESTS_rad_s)
 
-    def _known(self, exiddm: RecursiveExiddm, estimate: Estimate, rate: float) -> _Known:
+    def _known(self, ekf: MotionFilter, estimate: Estimate, rate: float) -> _Known:
         masses = self.library.masses
         body = estimate.quantities[0]
-        if exiddm.state is None or not exiddm.held or not exiddm.state[PAYLOAD][0] > 0.0:
+        if ekf.state is None or not ekf.held or not ekf.state[PAYLOAD][0] > 0.0:
             middle = float(np.sqrt(masses[0] * masses[-1]))
             side = (middle / 1000.0) ** (1.0 / 3.0)  # of a cube of water
             payload = np.array([middle, 0, 0, 0, *np.array([1.0, 0, 1.0, 0, 0, 1.0]) * middle * side**2 / 6.0])
             return _Known(self.prior, rate, (masses[0], masses[-1]), self._asked(payload), 1.0)
-        covariance = exiddm.predictor.aged(exiddm.covariance, round(3.0 / exiddm.predictor.period_s))
-        spread = float(np.sqrt(exiddm.covariance[PAYLOAD.start, PAYLOAD.start]))
+        covariance = ekf.predictor.aged(ekf.covariance, round(3.0 / ekf.predictor.period_s))
+        spread = float(np.sqrt(ekf.covariance[PAYLOAD.start, PAYLOAD.start]))
         wide = (body.half / HALF / spread) ** 2 if body.supported else 1.0
         between = (max(body.low, 0.0), body.high) if body.supported else (masses[0], masses[-1])
-        return _Known(covariance, rate, between, self._asked(exiddm.state[PAYLOAD]), wide)
+        return _Known(covariance, rate, between, self._asked(ekf.state[PAYLOAD]), wide)
 
     def _asked(self, payload: FloatArray) -> Asked:
         """Rows and targets of what is asked, about a payload's standard parameters, (10,)."""

@@ -29,7 +29,7 @@ from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.flight.estimate.readings.tracked import TrackedTicks
 from onboard.flight.estimate.readings.witness import RateWitness
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.online import FollowsJumps, OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -96,7 +96,7 @@ class Estimator:
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._temperatures = Temperatures(self._imu)
-        further = self.online.further if isinstance(self.online, ExiddmIdentifier | TableRun) else ()
+        further = self.online.further if isinstance(self.online, MotionIdentifier | TableRun) else ()
         seen = [one for one in roles.trackers if one.channel in {own.name for own in further}]
         follows = isinstance(self.online, FollowsJumps)
         self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted, trackers=seen, follows_jumps=follows)
@@ -123,7 +123,7 @@ class Estimator:
             "quantity": channels.QUANTITY,
         }
         self._asking = None if vehicle.segments is None else Asking(vehicle, vehicle.segments, self.online, self.model)
-        if isinstance(self.online, ExiddmIdentifier):
+        if isinstance(self.online, MotionIdentifier):
             self.outputs["innovation"] = channels.INNOVATION
         if self._asking is not None:
             self.outputs["request"] = channels.REQUEST
@@ -233,7 +233,7 @@ class Estimator:
         if final:
             self.online.finish()
         made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
-        if isinstance(self.online, ExiddmIdentifier) and (errors := self.online.prediction_errors()):
+        if isinstance(self.online, MotionIdentifier) and (errors := self.online.prediction_errors()):
             made.append(self._numbered("innovation", innovation_rows(now_ns, errors)))
         for change in self.online.news():
             if change.kind == "release_contradicted":

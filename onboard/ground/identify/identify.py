@@ -24,7 +24,7 @@ from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
-from onboard.ground.identify.kinds.free_flyer_log import identify_exiddm
+from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.kinds.likelihood_log import EXIDDM
@@ -51,7 +51,7 @@ from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
 BY_LIKELIHOOD: Mapping[config.Prediction, Callable[[config.Vehicle, LogReader], Identified]] = {
-    config.Prediction.FREE: identify_exiddm,
+    config.Prediction.FREE: identify_free_flyer,
     config.Prediction.PARABOLAS: identify_parabolas,
     config.Prediction.PLANAR: identify_planar,
     config.Prediction.BODY: identify_body,

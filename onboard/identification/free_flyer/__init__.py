@@ -1,1 +1,1 @@
-"""Non-linear ExIDDM: fits the payload so that the predicted base IMU signals match the measured ones."""
+"""Fits the payload so that the predicted base IMU signals match the measured ones (non-linear ExIDDM)."""

@@ -1,4 +1,4 @@
-"""Batch non-linear ExIDDM: maximum likelihood payload from predicted gyro and accelerometer signals of a flight.
+"""Batch fit: maximum likelihood payload from predicted gyro and accelerometer signals of a flight.
 
 Least squares on measurement rows has the measured base motion in the regressor, whose noise biases the estimate. Here
 the base's motion is predicted from the joints and the unknowns: payload, state of the motion at the first tick and, if
@@ -93,7 +93,7 @@ class PayloadFit(NamedTuple):
         return self.fit.residual_sum / self.freedom
 
 
-class Exiddm:
+class MotionFit:
     """Predicts the base IMU of one flight and fits the payload to it.
 
     Args:
@@ -296,7 +296,7 @@ class Exiddm:
         return self._links.chi(every[self.layout["payload"]], every[self.layout["links"]])
 
 
-def held_out(whole: Exiddm, earlier: Exiddm, later: Exiddm, found: PayloadFit) -> HeldOut:
+def held_out(whole: MotionFit, earlier: MotionFit, later: MotionFit, found: PayloadFit) -> HeldOut:
     """Prediction of each half of a flight with the parameters of the other.
 
     Args:
@@ -306,7 +306,7 @@ def held_out(whole: Exiddm, earlier: Exiddm, later: Exiddm, found: PayloadFit) -
         found: of the whole.
 
     Raises:
-        ConvergenceError, SingularError, RowError, SignalError: see :meth:`Exiddm.fit`.
+        ConvergenceError, SingularError, RowError, SignalError: see :meth:`MotionFit.fit`.
     """
     first, second, x = earlier.fit().fit.x, later.fit().fit.x, found.fit.x
     return HeldOut(later.predicted(first, second), earlier.predicted(second, first), whole.predicted(x, x))

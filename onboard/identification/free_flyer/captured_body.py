@@ -25,7 +25,7 @@ from onboard.identification.free_flyer.before_capture import (
 )
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 
 NAMES: Final = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")
@@ -46,14 +46,14 @@ class _Touch(NamedTuple):
 
 
 class CapturedBody:
-    """Tells of a body that a :class:`RecursiveExiddm` finds captured how it moved before.
+    """Tells of a body that a :class:`MotionFilter` finds captured how it moved before.
 
     Args:
-        exiddm: the estimator.
+        ekf: the estimator.
     """
 
-    def __init__(self, exiddm: RecursiveExiddm) -> None:
-        self._exiddm = exiddm
+    def __init__(self, ekf: MotionFilter) -> None:
+        self._exiddm = ekf
         self._recent: Ticks | None = None
         self._seen = 0  # changes
         self._suspected: _Touch | None = None  # not classified
@@ -140,31 +140,31 @@ class CapturedBody:
         Args:
             payload: as it is known now.
         """
-        touch, exiddm = self._captured, self._exiddm
+        touch, ekf = self._captured, self._exiddm
         assert touch is not None
         assert touch.ticks is not None
-        self._used, self._next = exiddm.ticks_used, _AGAIN * exiddm.ticks_used
-        if exiddm.predictor.bends.size:
+        self._used, self._next = ekf.ticks_used, _AGAIN * ekf.ticks_used
+        if ekf.predictor.bends.size:
             self._told = None
             self._failure = "the joints are flexible: their encoders do not tell how the gripper moves"
             return
-        if 0 in exiddm.fusion.left_out:
-            self._told, self._failure = None, f"{exiddm.fusion.names[0]} is left out"
+        if 0 in ekf.fusion.left_out:
+            self._told, self._failure = None, f"{ekf.fusion.names[0]} is left out"
             return
         state, zeros = self._before(0.5 * (touch.from_s + touch.until_s))
         try:
             between_s = touch.from_s, touch.until_s
-            self._told = before_capture(exiddm.predictor, state, touch.ticks, zeros, payload, between_s)
+            self._told = before_capture(ekf.predictor, state, touch.ticks, zeros, payload, between_s)
         except SignalError as error:
             self._told, self._failure = None, str(error)
 
     def _before(self, at_s: float) -> tuple[FloatArray, Zeros]:
         """The state with nothing held, without biases, and the zeros of the base's IMU at the capture."""
-        exiddm, predictor = self._exiddm, self._exiddm.predictor
-        assert exiddm.state is not None
+        ekf, predictor = self._exiddm, self._exiddm.predictor
+        assert ekf.state is not None
         assert self._recent is not None
-        state, since_s = exiddm.state.copy(), float(self._recent.time_s[-1]) - at_s
-        covariance = predictor.aged(exiddm.covariance, round(since_s / predictor.period_s))
+        state, since_s = ekf.state.copy(), float(self._recent.time_s[-1]) - at_s
+        covariance = predictor.aged(ekf.covariance, round(since_s / predictor.period_s))
         L, drifts = np.zeros((6, len(state))), dict(predictor.biases)
         own = [k for k in predictor.of_each[0].tolist() if "_bias_" in predictor.names[k]]
         for row, bias_at in zip(L, own if len(own) == len(L) else (), strict=False):

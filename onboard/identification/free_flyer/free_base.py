@@ -1,4 +1,4 @@
-"""ExIDDM of a free-floating base: motion from the joints and the initial angular momentum."""
+"""A free-floating base: motion from the joints and the initial angular momentum."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import ITERATIONS
-from onboard.identification.free_flyer.batch import Exiddm, Schedule, checked
+from onboard.identification.free_flyer.batch import MotionFit, Schedule, checked
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.free_flyer.prediction.parameters import Unknowns
@@ -62,13 +62,13 @@ class FreeBase:
         return rough_payload(self.vehicle, imu_frame, self.signals, ROUGH_WIDTH_s, payload_sigma)
 
 
-def free_exiddm(
+def free_fit(
     vehicle: VehicleModel,
     imu_frame: str,
     signals: FlightSignals,
     payload_sigma: FloatArray,
     link_covariance: Mapping[str, FloatArray],
     imu_prior: ImuPrior = CERTAIN,
-) -> Exiddm:
-    """The ExIDDM of a free flight; arguments and errors as :class:`FreeBase` and :class:`Exiddm` have them."""
-    return Exiddm(FreeBase(vehicle, signals), imu_frame, payload_sigma, link_covariance, imu_prior)
+) -> MotionFit:
+    """The fit of a free flight; arguments and errors as :class:`FreeBase` and :class:`MotionFit` have them."""
+    return MotionFit(FreeBase(vehicle, signals), imu_frame, payload_sigma, link_covariance, imu_prior)

@@ -1,4 +1,4 @@
-"""The recursive non-linear ExIDDM as an :class:`onboard.identification.online.OnlineIdentifier`."""
+"""The filter of predicted motion as an :class:`onboard.identification.online.OnlineIdentifier`."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -29,7 +29,7 @@ from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
 from onboard.identification.free_flyer.prediction.ticks import Ticks, gated, ticks_of
 from onboard.identification.free_flyer.recursion.bounded_work import last_work
 from onboard.identification.free_flyer.recursion.lines import RECENT_s
-from onboard.identification.free_flyer.recursion.recursive import DETERMINED, RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter
 from onboard.identification.free_flyer.recursion.windowed import SOLVED_AT_s
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import (
@@ -70,8 +70,8 @@ def keys_of(predictor: ImuPredictor) -> tuple[str, ...]:
     return tuple("" if k in varying else predictor.key_of(name) for k, name in enumerate(predictor.names))
 
 
-class ExiddmIdentifier:
-    """The recursive non-linear ExIDDM. Its rows are the lines of the base IMU, further IMUs and load cells.
+class MotionIdentifier:
+    """The filter of predicted motion. Its rows are the lines of the base IMU, further IMUs and load cells.
 
     All are means over each tick.
 
@@ -80,23 +80,23 @@ class ExiddmIdentifier:
     largest, where that is above one (:mod:`onboard.identification.free_flyer.misfit`).
 
     Args:
-        exiddm: the estimator.
+        ekf: the estimator.
     """
 
     follows_jumps = True
 
-    def __init__(self, exiddm: RecursiveExiddm) -> None:
-        self.exiddm = exiddm
-        payload = exiddm.predictor.vehicle.spec.payload_link
-        self.further = exiddm.predictor.further
+    def __init__(self, ekf: MotionFilter) -> None:
+        self.ekf = ekf
+        payload = ekf.predictor.vehicle.spec.payload_link
+        self.further = ekf.predictor.further
         self.row_names = rows_of(self.further)
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
         self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
-        self._captured = CapturedBody(exiddm)
-        self._causes = Causes(keys_of(exiddm.predictor), exiddm.predictor.sigma, [NOISE_KEY])
-        self._corrections = HeldAgainst(exiddm.predictor, exiddm.fusion, exiddm.rivals.spanned)
+        self._captured = CapturedBody(ekf)
+        self._causes = Causes(keys_of(ekf.predictor), ekf.predictor.sigma, [NOISE_KEY])
+        self._corrections = HeldAgainst(ekf.predictor, ekf.fusion, ekf.rivals.spanned)
         self._attached: bool | None = None
         self._told = 0
         self._mixed: tuple[Weighed, Mixture, float] | None = None  # the last answer, and what it is of
@@ -122,17 +122,17 @@ class ExiddmIdentifier:
         if n:
             self._newest_s = float(signals.time_s[-1])
             self._taken_s = float(signals.time_s[(found == 0).any(axis=1)].max(initial=self._taken_s))
-        first, glitches = 0, self.exiddm.glitches
+        first, glitches = 0, self.ekf.glitches
         of_jumps = [int(np.searchsorted(signals.time_s, 1e-9 * jump.vehicle_ns)) for _, jump in signals.jumps]
         for last in sorted({*(np.flatnonzero(np.diff(attached)) + 1).tolist(), *of_jumps, n} - ({0} if n else set())):
             for at, told in zip(of_jumps, signals.jumps, strict=True):
                 if at == first:
-                    self.exiddm.jumped(*told)
+                    self.ekf.jumped(*told)
             held = bool(attached[first]) if n else self._attached
             if n and self._attached is not None and held != self._attached:
-                self.exiddm.announce(bool(held), float(signals.time_s[first]))
+                self.ekf.announce(bool(held), float(signals.time_s[first]))
             self._attached = held
-            self.exiddm.take(Ticks(*(x[first:last] for x in ticks)))
+            self.ekf.take(Ticks(*(x[first:last] for x in ticks)))
             first = last
         self._mixed = None
         self._tell_of_capture(ticks)
@@ -143,31 +143,31 @@ class ExiddmIdentifier:
 
     def prediction_errors(self) -> list[ReferenceErrors]:
         """Of the base IMU, since the last call, a batch each."""
-        told = self.exiddm.innovations.told
+        told = self.ekf.innovations.told
         return [told.popleft() for _ in range(len(told))]
 
     def work(self) -> None:
         """Solves a window as far as the bound goes; see ``Defers``."""
-        glitches, self._mixed = self.exiddm.glitches, None
-        self.exiddm.work()
+        glitches, self._mixed = self.ekf.glitches, None
+        self.ekf.work()
         self._count(glitches)
 
     def finish(self) -> None:
         """Solves what is under way, and processes the ticks that wait for it, as far as :func:`last_work` goes."""
-        glitches, self._mixed = self.exiddm.glitches, None
-        self._ended = self.exiddm.finish(last_work(len(self.exiddm.predictor.vehicle.joints)))
+        glitches, self._mixed = self.ekf.glitches, None
+        self._ended = self.ekf.finish(last_work(len(self.ekf.predictor.vehicle.joints)))
         self._count(glitches)
-        self._tell_of_capture(self.exiddm.predictor.no_ticks)
+        self._tell_of_capture(self.ekf.predictor.no_ticks)
 
     def _tell_of_capture(self, ticks: Ticks) -> None:
         self._captured.take(ticks)
-        if self._answers and self.exiddm.state is not None and self._captured.due:
+        if self._answers and self.ekf.state is not None and self._captured.due:
             self._captured.tell(Payload(*self._known_payload()))
 
     def _count(self, glitches: int) -> None:
         """Count rows, and outliers since there were so many."""
-        self.rows_used = 6 * self.exiddm.ticks_used
-        self.refused[GateReason.RESIDUAL] += 6 * (self.exiddm.glitches - glitches)
+        self.rows_used = 6 * self.ekf.ticks_used
+        self.refused[GateReason.RESIDUAL] += 6 * (self.ekf.glitches - glitches)
 
     def estimate(self, level: float = 0.95) -> Estimate:
         """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes.
@@ -178,15 +178,15 @@ class ExiddmIdentifier:
         nothing, chances = np.full(10, np.nan), np.array([*tails(1.0 - level), *tails(LEAST_WEIGHT)])
         mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
         ends, z = np.full((4, 10), np.nan), ndtri(chances)[:, None]
-        exiddm = self.exiddm
-        note = "nothing is held" if exiddm.held is False else "not determined by the data so far"
-        if exiddm.held is False and self._newest_s - self._taken_s > SOLVED_AT_s[0]:
+        ekf = self.ekf
+        note = "nothing is held" if ekf.held is False else "not determined by the data so far"
+        if ekf.held is False and self._newest_s - self._taken_s > SOLVED_AT_s[0]:
             note = "nothing was held when motion was last taken in"
         fine = np.zeros(10, np.bool_)
         leans: tuple[str, ...] = ("",) * 10
-        if exiddm.held and not exiddm.holds:
+        if ekf.held and not ekf.holds:
             note = "a release was announced"
-        if self._answers and exiddm.state is not None:
+        if self._answers and ekf.state is not None:
             mixture, widening = self._payload(self._weighed)
             mean, P = mixture.known
             P *= widening
@@ -202,7 +202,7 @@ class ExiddmIdentifier:
                 ends = side * np.hypot(widening**0.5 * np.maximum(side * own, 0.0), z * moved)  # the mean is inside
                 spread = np.hypot(np.sqrt(np.einsum("ij,jk,ik->i", D, P, D)), moved)
                 wide = np.maximum(spread, (ends[3] - ends[2]) / (z[3] - z[2]))
-                shrinkage = wide / np.sqrt((D**2) @ exiddm.payload_sigma**2)
+                shrinkage = wide / np.sqrt((D**2) @ ekf.payload_sigma**2)
                 fine = shrinkage <= SUPPORTED_SHRINKAGE
                 fine[1:] &= wide[0] <= SUPPORTED_SHRINKAGE * mean[0]
                 leans = self._causes.said(self._effects(D, mixture.shares(D, own[2:])), wide, np.abs(body), _LEANINGS)
@@ -213,7 +213,7 @@ class ExiddmIdentifier:
             value, around, low, high, lowest, highest = numbers.tolist()
             told = value, around, low, high, float(shrinkage[k]), bool(fine[k]), "" if fine[k] else note
             quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k], own_outer=(lowest, highest)))
-        supported = sigma <= SUPPORTED_SHRINKAGE * exiddm.payload_sigma
+        supported = sigma <= SUPPORTED_SHRINKAGE * ekf.payload_sigma
         return Estimate(
             self.parameter_names,
             mean,
@@ -229,12 +229,12 @@ class ExiddmIdentifier:
 
     @property
     def _answers(self) -> bool:
-        return self.exiddm.holds and self.exiddm.confirmed
+        return self.ekf.holds and self.ekf.confirmed
 
     def triangle(self) -> FloatArray:
         """Information ``[R z]`` of the payload's ten standard parameters, (11, 11); zeros while there is none."""
         out = np.zeros((11, 11))
-        if self._answers and self.exiddm.state is not None:
+        if self._answers and self.ekf.state is not None:
             mean, P = self._known_payload()
             R, failed = dpotrf(np.linalg.inv(P))
             if not failed:
@@ -245,14 +245,14 @@ class ExiddmIdentifier:
         """Too many outliers, a payload replaced without a release, corrections or innovations larger than stated."""
         if refusal := self._refusal():
             return Findings((refusal,))
-        predictor, fusion = self.exiddm.predictor, self.exiddm.fusion
-        if self.exiddm.state is None:
+        predictor, fusion = self.ekf.predictor, self.ekf.fusion
+        if self.ekf.state is None:
             return Findings()
         weighed = self._weighed
         names, found = predictor.names, self._corrections.of(weighed)
-        slow = self.exiddm.lines.slow
+        slow = self.ekf.lines.slow
         each = {
-            **self.exiddm.misfit.by_instrument(),
+            **self.ekf.misfit.by_instrument(),
             **{f"{name} below 1.5 Hz": ratio for name, ratio in slow.by_sensor(DOUBT).items()},
         }
         off = {name: ratio for name, ratio in each.items() if ratio > MISFIT_DOUBTED}
@@ -263,10 +263,10 @@ class ExiddmIdentifier:
         )
         doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
         doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
-        doubts += [_ALTERED] * self.exiddm.altered + self._of_trackers(found)
+        doubts += [_ALTERED] * self.ekf.altered + self._of_trackers(found)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]
         doubts += [f"without {fusion.names[k]}, which gives no readings" for k in sorted(fusion.absent)]
-        if line := self.exiddm.lines.strongest:
+        if line := self.ekf.lines.strongest:
             doubts.append(f"residuals of the {line.instrument} swing at {line.frequency_Hz:.2g} Hz: {_SWINGING}")
         against = too_large(dict(zip((names[k] for k in found.known.tolist()), found.in_stated.tolist(), strict=True)))
         moved = (*contradicted(self._by_the_data(found)), *found.at_once.refused())
@@ -278,17 +278,17 @@ class ExiddmIdentifier:
     def _is_determined(self, weighed: Weighed) -> bool:
         """Whether the mass is known so well that what is known of all else follows from a linear model."""
         mean, covariance = weighed.known(weighed.likeliest, PAYLOAD)
-        return not self.exiddm.held or float(np.sqrt(covariance[0, 0])) < DETERMINED * float(mean[0])
+        return not self.ekf.held or float(np.sqrt(covariance[0, 0])) < DETERMINED * float(mean[0])
 
     @property
     def _weighed(self) -> Weighed:
         """What may not be as stated, by the filter's state."""
-        assert self.exiddm.state is not None
-        return self.exiddm.rivals.weighed(self.exiddm.corrected(self.exiddm.state), self.exiddm.covariance)
+        assert self.ekf.state is not None
+        return self.ekf.rivals.weighed(self.ekf.corrected(self.ekf.state), self.ekf.covariance)
 
     def _by_the_data(self, found: Corrections) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
-        names = self.exiddm.predictor.names
+        names = self.ekf.predictor.names
         return dict(zip((names[k] for k in found.steady.tolist()), found.in_told.tolist(), strict=True))
 
     def _of_trackers(self, found: Corrections) -> list[str]:
@@ -305,21 +305,21 @@ class ExiddmIdentifier:
         share = glitches / max(self.rows_used + glitches, 1)
         if contradicted := contradicted_text(share, "ticks", self._of_what_is_left()):
             return contradicted
-        if self.exiddm.exchanged:
+        if self.ekf.exchanged:
             return _EXCHANGED
-        left_out, unexplained = self.exiddm.fusion.contradicting, self._unexplained()
+        left_out, unexplained = self.ekf.fusion.contradicting, self._unexplained()
         if len(left_out) > 1:
             return f"{' and '.join(left_out)} contradict the other instruments and the joints"
-        if self.exiddm.undecided or self.exiddm.unexplained.count or self.exiddm.unexplained.swings:
-            between = self.exiddm.undecided or self.exiddm.unexplained.between
+        if self.ekf.undecided or self.ekf.unexplained.count or self.ekf.unexplained.swings:
+            between = self.ekf.undecided or self.ekf.unexplained.between
             return between or f"{_CONTRADICTED}; {self._of_what_is_left()}"
         if unexplained >= _MOST_UNEXPLAINED:
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
-        return "" if self._ended or self.exiddm.state is not None else _GIVEN_UP
+        return "" if self._ended or self.ekf.state is not None else _GIVEN_UP
 
     def _of_what_is_left(self) -> str:
         """How the residual of a motion that no payload explains swings, or what to check."""
-        if (line := self.exiddm.unexplained.line) is None:
+        if (line := self.ekf.unexplained.line) is None:
             return "check the IMU and the joints"
         return f"the {line.instrument} swings at {line.frequency_Hz:.2g} Hz: {_SWINGING}"
 
@@ -336,14 +336,14 @@ class ExiddmIdentifier:
         """
         if self._mixed is not None and self._mixed[0] is weighed:
             return self._mixed[1:]
-        line = self.exiddm.lines.strongest
-        misfit = max([1.0, 0.0 if line is None else line.beyond, *self.exiddm.misfit.by_instrument().values()])
-        misfit = max([misfit, *self.exiddm.lines.slow.by_sensor(DOUBT).values()])
+        line = self.ekf.lines.strongest
+        misfit = max([1.0, 0.0 if line is None else line.beyond, *self.ekf.misfit.by_instrument().values()])
+        misfit = max([misfit, *self.ekf.lines.slow.by_sensor(DOUBT).values()])
         found = self._corrections.of(weighed)
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
-        noise = self.exiddm.correction.part(PAYLOAD)  # which the misfit does not widen
+        noise = self.ekf.correction.part(PAYLOAD)  # which the misfit does not widen
         self._mixed = weighed, mixture.wider(noise.covariance / misfit), misfit
         return self._mixed[1:]
 
@@ -358,7 +358,7 @@ class ExiddmIdentifier:
         """
         weighed = self._weighed
         effects = self._causes.effects(along @ weighed.across(weighed.likeliest, PAYLOAD))
-        effects[:, -1] = np.abs(along @ self.exiddm.correction.sigma[PAYLOAD])
+        effects[:, -1] = np.abs(along @ self.ekf.correction.sigma[PAYLOAD])
         for one, share in zip(weighed.counting, shares, strict=True):
             if (
                 one.suspect is None
@@ -373,11 +373,11 @@ class ExiddmIdentifier:
 
     def _unexplained(self) -> int:
         """Largest number of recent changes at any time that no capture and no ejection explained."""
-        times = [one.time_s for one in self.exiddm.changes if one.kind in ("contact", "instrument", "altered")]
+        times = [one.time_s for one in self.ekf.changes if one.kind in ("contact", "instrument", "altered")]
         return max((sum(at - RECENT_s < other <= at for other in times) for at in times), default=0)
 
     def news(self) -> tuple[Change, ...]:
         """Captures and ejections, instruments left out and taken back, since the last call."""
-        new = tuple(self.exiddm.changes[self._told :])
+        new = tuple(self.ekf.changes[self._told :])
         self._told += len(new)
-        return (*new, *self.exiddm.fusion.news())
+        return (*new, *self.ekf.fusion.news())

@@ -1,4 +1,4 @@
-"""ExIDDM of a base on an air-bearing table: motion from joints, initial velocity, drag and tilt.
+"""Fit of a base on an air-bearing table: motion from joints, initial velocity, drag and tilt.
 
 Drag depends on velocity, which is not measured but predicted (:mod:`onboard.dynamics.air_bearing`). Regression rows
 would contain the IMU's noise and an integrated velocity in their columns; a prediction does not, so noise causes no
@@ -31,7 +31,7 @@ from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit, Normal, fit
 from onboard.estimation.policy import MISFIT_DOUBTED, MISFIT_PART
 from onboard.identification.corrections import refused_from
-from onboard.identification.free_flyer.batch import Exiddm, PayloadFit, Schedule, checked
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, Schedule, checked
 from onboard.identification.free_flyer.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.free_flyer.prediction.further import PlacedImu
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
@@ -167,8 +167,8 @@ class AirBearingBase:
         return possible_body(mean, covariance)
 
 
-class TableExiddm(Exiddm):
-    """The ExIDDM of a run on the table.
+class TableFit(MotionFit):
+    """The fit of a run on the table.
 
     Velocity at the start, tilt and Coulomb drag have many minima between them, since Coulomb drag turns about where a
     puck hardly slips; a run that begins at rest shows nothing of the payload in its first seconds. Where the fit of
@@ -201,7 +201,7 @@ class TableExiddm(Exiddm):
             self._take(base)
 
     def _of_joints(self) -> FloatArray:
-        """See :class:`Exiddm`; by :mod:`onboard.identification.free_flyer.prediction.joint_noise`."""
+        """See :class:`MotionFit`; by :mod:`onboard.identification.free_flyer.prediction.joint_noise`."""
         signals, vehicle = self._base.signals, self._base.vehicle
         if self._likely is None or signals.joint_sigma is None:
             return super()._of_joints()
@@ -210,7 +210,7 @@ class TableExiddm(Exiddm):
         return noise.of(signals.q, self._likely, signals.joint_sigma)[0]
 
     def fit(self) -> PayloadFit:
-        """See :meth:`Exiddm.fit`."""
+        """See :meth:`MotionFit.fit`."""
         if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
             raise ConvergenceError("no joint moves: these data do not determine a payload")
         found, failure = list[PayloadFit](), list[EstimationError | SignalError]()
@@ -236,7 +236,7 @@ class TableExiddm(Exiddm):
         """The fit of all ticks from parameters ``x``, (p,), without a search.
 
         Raises:
-            EstimationError, SignalError: as :meth:`Exiddm.fit`.
+            EstimationError, SignalError: as :meth:`MotionFit.fit`.
         """
         fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, _PATIENT, MINIMUM)
         return self._dragged(self.found(fitted))
@@ -255,7 +255,7 @@ class TableExiddm(Exiddm):
             return found
         return min(found, self.found(fitted), key=lambda one: one.fit.residual_sum)
 
-    def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "TableExiddm":
+    def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "TableFit":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
         return self.of(self._base.with_errors(errors, since, multiples))
 
@@ -379,7 +379,7 @@ class Searched(NamedTuple):
     squares: float  # sum of its whitened residuals
 
 
-def air_bearing_exiddm(
+def table_fit(
     vehicle: VehicleModel,
     imu_frame: str,
     signals: FlightSignals,
@@ -387,13 +387,13 @@ def air_bearing_exiddm(
     link_covariance: Mapping[str, FloatArray],
     prior: AirBearingPrior,
     likely: RigidBody | None = None,
-) -> TableExiddm:
-    """The ExIDDM of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`Exiddm` have.
+) -> TableFit:
+    """The fit of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`MotionFit` have.
 
     ``likely``: the payload at which the noise of the joints is weighed; None: the first guess.
     """
     base = AirBearingBase(vehicle, signals, prior)
-    return TableExiddm(base, imu_frame, payload_sigma, link_covariance, prior.imu, likely)
+    return TableFit(base, imu_frame, payload_sigma, link_covariance, prior.imu, likely)
 
 
 def planar_rows(

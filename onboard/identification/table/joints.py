@@ -17,7 +17,7 @@ from onboard.dynamics.joint_errors import PER_JOINT
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import Fit, inverse_of
 from onboard.identification.corrections import expected_sigma
-from onboard.identification.table.air_bearing import TableExiddm
+from onboard.identification.table.air_bearing import TableFit
 
 
 class JointCorrections(NamedTuple):
@@ -52,23 +52,23 @@ class Step(NamedTuple):
     further: FloatArray  # (c,) sizes of the further errors, beyond those that they are at
 
 
-def step(exiddm: TableExiddm, found: Fit, further: FloatArray | None = None, at: FloatArray | None = None) -> Step:
+def step(run: TableFit, found: Fit, further: FloatArray | None = None, at: FloatArray | None = None) -> Step:
     """The step, as this module's head says.
 
     Args:
-        exiddm: of the run.
+        run: its fit.
         found: its fit of all ticks, joints exact.
         further: (m, c) derivative of the residuals by the further errors.
-        at: (c,) of which size they are in the run of ``exiddm``, in sigmas.
+        at: (c,) of which size they are in ``run``, in sigmas.
 
     Raises:
         SingularError: errors that cannot be separated.
     """
     x, p = found.x, found.x.size
-    names, stated = _unknown(exiddm)
-    r, both, information = _normal(exiddm, x, further)
+    names, stated = _unknown(run)
+    r, both, information = _normal(run, x, further)
     gradient = both.T @ r
-    gradient[:p] += exiddm.prior_information @ x
+    gradient[:p] += run.prior_information @ x
     if at is not None:
         gradient[p + len(names) :] += at
     covariance = inverse_of(information)
@@ -80,39 +80,37 @@ def step(exiddm: TableExiddm, found: Fit, further: FloatArray | None = None, at:
     return Step(fit, corrections, covariance, r + both @ moved, both, moved[p + len(names) :])
 
 
-def bound(exiddm: TableExiddm, x: FloatArray) -> FloatArray:
+def bound(run: TableFit, x: FloatArray) -> FloatArray:
     """Covariance of the parameters (p, p) with the errors of the joints unknown, at parameters ``x``, (p,).
 
     Raises:
         SingularError: a direction determined by neither rows nor prior.
     """
-    return inverse_of(_normal(exiddm, x, None)[2])[: x.size, : x.size]
+    return inverse_of(_normal(run, x, None)[2])[: x.size, : x.size]
 
 
-def _unknown(exiddm: TableExiddm) -> tuple[tuple[str, ...], FloatArray]:
+def _unknown(run: TableFit) -> tuple[tuple[str, ...], FloatArray]:
     """Names of the errors that have a sigma, and these, (k,)."""
-    names, sigma = (*exiddm.joints.names, *exiddm.cyclic.names), np.append(exiddm.joints.sigma, exiddm.cyclic.sigma)
+    names, sigma = (*run.joints.names, *run.cyclic.names), np.append(run.joints.sigma, run.cyclic.sigma)
     own = np.flatnonzero(sigma > 0.0)
     return tuple(names[k] for k in own), sigma[own]
 
 
-def _normal(
-    exiddm: TableExiddm, x: FloatArray, further: FloatArray | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _normal(run: TableFit, x: FloatArray, further: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (m,), their derivative by parameters and errors, (m, p + k + c), and the information on these."""
     sigma, (r, J), own = (
-        np.append(exiddm.joints.sigma, exiddm.cyclic.sigma),
-        exiddm.residuals(x),
-        exiddm.joints.sigma.size,
+        np.append(run.joints.sigma, run.cyclic.sigma),
+        run.residuals(x),
+        run.joints.sigma.size,
     )
     columns = [J]
     for place in np.flatnonzero(sigma > 0.0):
         each = np.where(np.arange(sigma.size) == place, sigma, 0.0)
-        wrong = exiddm.with_errors(each[:own].reshape(-1, PER_JOINT), multiples=each[own:])
+        wrong = run.with_errors(each[:own].reshape(-1, PER_JOINT), multiples=each[own:])
         columns.append(((wrong.left(x) - r) / sigma[place])[:, None])
     both = np.concatenate([*columns, *([] if further is None else [further])], axis=1)
     information = both.T @ both
-    information[: x.size, : x.size] += exiddm.prior_information
-    stated = _unknown(exiddm)[1]
+    information[: x.size, : x.size] += run.prior_information
+    stated = _unknown(run)[1]
     information[x.size :, x.size :] += np.diag(np.append(stated**-2, np.ones(both.shape[1] - x.size - stated.size)))
     return r, both, information

@@ -34,7 +34,7 @@ from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.free_flyer.batch import PayloadFit
 from onboard.identification.quantities import Findings
 from onboard.identification.table import joints
-from onboard.identification.table.air_bearing import TableExiddm
+from onboard.identification.table.air_bearing import TableFit
 
 PARTS = 16  # of a run, at the ends of which a scale may step
 _SMALL = 0.01  # of a sigma: for derivatives
@@ -60,22 +60,22 @@ class Answered(NamedTuple):
     findings: Findings
 
 
-def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
+def answered(run: TableFit, found: PayloadFit) -> Answered:
     """The fit with the errors of the joints, and with what may not be as stated of their encoders.
 
     Args:
-        exiddm: of the run.
+        run: its fit.
         found: its fit of all ticks, joints exact.
 
     Raises:
         SingularError: errors that cannot be separated.
         SignalError: a payload without a mass.
     """
-    step = joints.step(exiddm, found.fit)
-    stated, (weighed, some) = exiddm.found(step.fit), _weighed(exiddm, found.fit, step)
+    step = joints.step(run, found.fit)
+    stated, (weighed, some) = run.found(step.fit), _weighed(run, found.fit, step)
     if weighed.every[0].weight >= LIKELIER:
-        return Answered(_mixed(exiddm, step, weighed.mixed(weighed.known)), stated, step.joints, Findings())
-    solved = list(_likeliest(exiddm, found.fit, weighed, some))
+        return Answered(_mixed(run, step, weighed.mixed(weighed.known)), stated, step.joints, Findings())
+    solved = list(_likeliest(run, found.fit, weighed, some))
     wider = max(1.0, min([stated.misfit, *(one.squares / stated.freedom for one in solved)]))
     logs = [0.0, *((step.fit.residual_sum - one.squares) / (2.0 * wider) + one.log for one in solved)]
     weights = np.exp(logs - np.max(logs))
@@ -87,15 +87,15 @@ def answered(exiddm: TableExiddm, found: PayloadFit) -> Answered:
         doubts.append(f"not as stated: {' or '.join(solved[k - 1].error.suspect.name for k in counts if k)}")
         best = solved[counts[0] - 1]
         with suppress(EstimationError, ModelError):
-            best = _solved(exiddm, best)
+            best = _solved(run, best)
         if abs(best.size) >= FARTHEST_SIZE:
             against.append(f"{best.error.suspect.name} is farther from what is stated than any error that is estimated")
-        others, _ = _weighed(best.exiddm, best.fit, best.step, best.error)
+        others, _ = _weighed(best.run, best.fit, best.step, best.error)
         each[counts[0]], corrections = others.mixed(others.known).known, best.step.joints
         doubts += [f"{said} as well" for part in others.judged for said in part]
     means, covariances = (np.array([each[k][part] for k in counts]) for part in (0, 1))
     mixture = Mixture(weights[counts] / weights[counts].sum(), means, covariances)
-    return Answered(_mixed(exiddm, step, mixture), stated, corrections, Findings(tuple(against), tuple(doubts)))
+    return Answered(_mixed(run, step, mixture), stated, corrections, Findings(tuple(against), tuple(doubts)))
 
 
 def _known_of(step: joints.Step) -> Known:
@@ -103,9 +103,9 @@ def _known_of(step: joints.Step) -> Known:
     return step.fit.x, step.fit.covariance
 
 
-def _mixed(exiddm: TableExiddm, step: joints.Step, mixture: Mixture) -> PayloadFit:
+def _mixed(run: TableFit, step: joints.Step, mixture: Mixture) -> PayloadFit:
     mean, covariance = mixture.known
-    return exiddm.found(step.fit._replace(x=mean, covariance=covariance))
+    return run.found(step.fit._replace(x=mean, covariance=covariance))
 
 
 class _Some(NamedTuple):
@@ -115,12 +115,10 @@ class _Some(NamedTuple):
     changed: Changed
 
 
-def _weighed(
-    exiddm: TableExiddm, fit: Fit, step: joints.Step, taken: EncoderError | None = None
-) -> tuple[Weighed, _Some]:
+def _weighed(run: TableFit, fit: Fit, step: joints.Step, taken: EncoderError | None = None) -> tuple[Weighed, _Some]:
     """Each error by itself against none, but for one that is taken out already."""
-    errors = tuple(one for one in _errors(exiddm) if taken is None or (one.errors != taken.errors).any())
-    h, p, wider = _columns(exiddm, fit.x, errors), fit.x.size, max(1.0, exiddm.found(step.fit).misfit)
+    errors = tuple(one for one in _errors(run) if taken is None or (one.errors != taken.errors).any())
+    h, p, wider = _columns(run, fit.x, errors), fit.x.size, max(1.0, run.found(step.fit).misfit)
     Bh = step.derivative.T @ h
     moves = -step.covariance @ Bh
     changed = Changed(moves[:p], -(h.T @ step.left) / wider, (h.T @ h + Bh.T @ moves) / wider, np.zeros_like(moves[:p]))
@@ -135,7 +133,7 @@ class _Solved(NamedTuple):
     error: EncoderError
     size: float  # in sigmas
     log: float  # of its odds, and of what its prior costs
-    exiddm: TableExiddm
+    run: TableFit
     fit: Fit
     step: joints.Step
 
@@ -145,7 +143,7 @@ class _Solved(NamedTuple):
         return self.step.fit.residual_sum + self.size**2
 
 
-def _likeliest(exiddm: TableExiddm, fit: Fit, weighed: Weighed, some: _Some) -> Iterator[_Solved]:
+def _likeliest(run: TableFit, fit: Fit, weighed: Weighed, some: _Some) -> Iterator[_Solved]:
     """The likeliest errors, each name once."""
     of_name = dict[str, int]()
     for one in sorted((one for one in weighed.every if one.steps), key=lambda one: -one.weight):
@@ -154,26 +152,26 @@ def _likeliest(exiddm: TableExiddm, fit: Fit, weighed: Weighed, some: _Some) -> 
         size, error = float(some.changed.sizes((k,))[0][0]), some.errors[k]
         log = float(np.log(error.suspect.odds) - 0.5 * np.log1p(some.changed.J[k, k]))
         with suppress(EstimationError, ModelError):  # about an error that the data do not tell so exactly
-            yield _about(exiddm, fit, error, size, log)
+            yield _about(run, fit, error, size, log)
 
 
-def _about(exiddm: TableExiddm, fit: Fit | None, error: EncoderError, size: float, log: float) -> _Solved:
+def _about(run: TableFit, fit: Fit | None, error: EncoderError, size: float, log: float) -> _Solved:
     """``fit``: of a run near this; None: minima are searched for."""
-    corrected = exiddm.with_errors(size * error.errors, error.since)
+    corrected = run.with_errors(size * error.errors, error.since)
     near = (corrected.fit() if fit is None else corrected.near(fit.x)).fit
     step = joints.step(corrected, near, _columns(corrected, near.x, [error]), np.array([size]))
     return _Solved(error, size, log, corrected, near, step)
 
 
-def _solved(exiddm: TableExiddm, one: _Solved) -> _Solved:
+def _solved(run: TableFit, one: _Solved) -> _Solved:
     """The same at its likeliest size and at the likeliest minimum: drags have many."""
-    found = _about(exiddm, None, one.error, one.size + float(one.step.further[0]), one.log)
-    return _about(exiddm, found.fit, one.error, found.size + float(found.step.further[0]), one.log)
+    found = _about(run, None, one.error, one.size + float(one.step.further[0]), one.log)
+    return _about(run, found.fit, one.error, found.size + float(found.step.further[0]), one.log)
 
 
-def _errors(exiddm: TableExiddm) -> Iterator[EncoderError]:
-    names = exiddm.joints.names
-    rate = STEPS_PER_HOUR * exiddm.ticks * exiddm.period_s / 3600.0
+def _errors(run: TableFit) -> Iterator[EncoderError]:
+    names = run.joints.names
+    rate = STEPS_PER_HOUR * run.ticks * run.period_s / 3600.0
     for place, name in enumerate(names):
         kind = JOINT_ERRORS[place % PER_JOINT]
         if kind in _SIGMAS:
@@ -181,11 +179,11 @@ def _errors(exiddm: TableExiddm) -> Iterator[EncoderError]:
             yield EncoderError(Suspect(name, _AT, _ALONG, ODDS_OF_PART), errors, 0)
             for part in range(1, PARTS) if kind == "scale" else ():
                 step = Suspect(f"a step of {name}", _AT, _ALONG, rate / PARTS)
-                yield EncoderError(step, errors, part * exiddm.ticks // PARTS)
+                yield EncoderError(step, errors, part * run.ticks // PARTS)
 
 
-def _columns(exiddm: TableExiddm, x: FloatArray, some: Sequence[EncoderError]) -> FloatArray:
+def _columns(run: TableFit, x: FloatArray, some: Sequence[EncoderError]) -> FloatArray:
     """Derivatives of the residuals by errors of one sigma each, (m, c)."""
-    r = exiddm.left(x)
-    each = [(exiddm.with_errors(_SMALL * one.errors, one.since).left(x) - r) / _SMALL for one in some]
+    r = run.left(x)
+    each = [(run.with_errors(_SMALL * one.errors, one.since).left(x) - r) / _SMALL for one in some]
     return np.reshape(each, (len(some), len(r))).T

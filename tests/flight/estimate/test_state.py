@@ -17,7 +17,7 @@ from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.state import FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 
 NOTHING = UnwrittenParts(None)
@@ -178,8 +178,8 @@ def test_checkpoints_take_turns_in_the_memory_of_two_files(tmp_path: Path) -> No
 
 def test_what_never_changes_of_a_free_flyers_estimator_is_not_in_a_checkpoint() -> None:
     estimator = Estimator(config.load(config.packaged("dymaflex")))
-    assert isinstance(estimator.online, ExiddmIdentifier)
-    unknowns = len(estimator.online.exiddm.predictor.names)
+    assert isinstance(estimator.online, MotionIdentifier)
+    unknowns = len(estimator.online.ekf.predictor.names)
     assert unknowns > 100
     size = len(to_bytes(estimator.online, UnwrittenParts(estimator)))
     assert size < 1.5 * 8 * unknowns**2  # its covariance, of which the prior is a copy

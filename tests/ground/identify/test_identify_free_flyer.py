@@ -21,7 +21,7 @@ from onboard.ground.identify.kinds import free_flyer_log
 from onboard.ground.identify.kinds.likelihood_log import longest_held
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.standing import Level
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.segments import in_windows
@@ -120,7 +120,7 @@ def test_it_starts_from_the_onboard_answer_in_the_log(
     plain = write(tmp_path / "plain.mcap", flown, rng)
     (wanted,) = identify(VEHICLE, [plain]).logs
     log = answered(plain, tmp_path / "answered.mcap", 1.1 * standard_of(PAYLOAD))
-    monkeypatch.setattr(RecursiveExiddm, "update", lambda *_: pytest.fail("the recursive estimator ran"))
+    monkeypatch.setattr(MotionFilter, "update", lambda *_: pytest.fail("the recursive estimator ran"))
     (found,) = identify(VEHICLE, [log]).logs
     assert found.verdict.level is wanted.verdict.level
     for one, other in zip(found.answers, wanted.answers, strict=True):

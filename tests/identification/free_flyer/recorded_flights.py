@@ -1,4 +1,4 @@
-"""A simulated flight becomes the ticks an identifier takes, errors of the IMU added; and the ExIDDM that takes them."""
+"""A simulated flight becomes the ticks an identifier takes, errors of the IMU added; and the filter that takes them."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, Imu
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import URDF
 
@@ -45,7 +45,7 @@ def online(signals, held=True, imu_prior=BIASES, links=(), geometry=EXACT_GEOMET
     }
     given = signals.period_s, signals.samples, covariance, imu_prior, geometry
     predictor = ImuPredictor(vehicle, "imu_base", *given, **more)
-    return RecursiveExiddm(predictor, WIDE, held)
+    return MotionFilter(predictor, WIDE, held)
 
 
 def jumped(ticks, at_s, scale, zero):

@@ -19,17 +19,17 @@ RATE = np.array([0.1, -0.15, 0.2])
 
 def flown(case, *, told_s=None):
     """The filter's answer of every batch, as the estimator asks for it."""
-    exiddm, found, at = case.online, [], 0
-    body = CapturedBody(exiddm)
+    ekf, found, at = case.online, [], 0
+    body = CapturedBody(ekf)
     while at < len(case.ticks.time_s):
         ticks = case.ticks.part(slice(at, at + BATCH))
         if told_s is not None and told_s <= ticks.time_s[-1]:
-            exiddm.announce(True, told_s)
+            ekf.announce(True, told_s)
             told_s = None
-        exiddm.update(ticks)
+        ekf.update(ticks)
         body.take(ticks)
-        if exiddm.holds and exiddm.confirmed and exiddm.state is not None and body.due:
-            body.tell(Payload(exiddm.state[PAYLOAD], exiddm.covariance[PAYLOAD, PAYLOAD]))
+        if ekf.holds and ekf.confirmed and ekf.state is not None and body.due:
+            body.tell(Payload(ekf.state[PAYLOAD], ekf.covariance[PAYLOAD, PAYLOAD]))
         found.append(body.quantities(0.95, known=True))
         at += BATCH
     return body, found

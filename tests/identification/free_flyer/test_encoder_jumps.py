@@ -7,12 +7,12 @@ import pytest
 
 from onboard import config
 from onboard.estimation.gates import GateReason
-from onboard.flight.estimate.problem.identification import build_exiddm
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.flight.estimate.problem.identification import build_free_flyer
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.free_flyer.suspects import Rivals
 from onboard.regressor.signals import EncoderJump, Signals
@@ -24,7 +24,7 @@ HELD_KG = 5.0
 
 @pytest.fixture(scope="module")
 def predictor() -> ImuPredictor:
-    return build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
+    return build_free_flyer(config.load(config.packaged("dymaflex")))[0].ekf.predictor
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_after_a_second_jump_the_first_may_have_changed_the_scale_too(predictor:
     assert rivals.weighed(*known).every[0].weight > 0.0
 
 
-def flown(recursive: RecursiveExiddm, ticks: Ticks, jump: EncoderJump) -> RecursiveExiddm:
+def flown(recursive: MotionFilter, ticks: Ticks, jump: EncoderJump) -> MotionFilter:
     k = int(np.searchsorted(ticks.time_s, 1e-9 * jump.vehicle_ns))
     recursive.update(ticks.part(slice(0, k)))
     recursive.jumped("joint_2", jump)
@@ -95,7 +95,7 @@ def flown(recursive: RecursiveExiddm, ticks: Ticks, jump: EncoderJump) -> Recurs
     return recursive
 
 
-def sigmas_off(recursive: RecursiveExiddm) -> tuple[float, float]:
+def sigmas_off(recursive: MotionFilter) -> tuple[float, float]:
     """Of the mass over all that counts; and its sigma."""
     assert recursive.state is not None
     weighed = recursive.rivals.weighed(recursive.corrected(recursive.state), recursive.covariance)
@@ -130,8 +130,8 @@ def test_a_payload_is_caught_after_a_jump(mission: Any) -> None:
 def test_an_identifier_takes_a_jump_in_between_its_ticks(held: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     ticks, jump = jumped(ticks_of(held), 2.503, 0.05, 0.0)
     some, told = ticks.part(slice(0, 320)), list[tuple[int, str]]()
-    identifier = ExiddmIdentifier(online(held, geometry=STATED))
-    take, taken, seen = identifier.exiddm.take, identifier.exiddm.jumped, [0]
+    identifier = MotionIdentifier(online(held, geometry=STATED))
+    take, taken, seen = identifier.ekf.take, identifier.ekf.jumped, [0]
 
     def note(joint: str, of: EncoderJump) -> None:
         told.append((seen[0], joint))
@@ -141,8 +141,8 @@ def test_an_identifier_takes_a_jump_in_between_its_ticks(held: Any, monkeypatch:
         seen[0] += len(part.time_s)
         take(part)
 
-    monkeypatch.setattr(identifier.exiddm, "jumped", note)
-    monkeypatch.setattr(identifier.exiddm, "take", count)
+    monkeypatch.setattr(identifier.ekf, "jumped", note)
+    monkeypatch.setattr(identifier.ekf, "take", count)
     unused: Any = None
     for first, last in ((0, 240), (240, 250), (250, 320)):
         part = some.part(slice(first, last))

@@ -15,7 +15,7 @@ from onboard.identification.evidence.bank import Hypothesis, Root, Weighed
 from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.free_flyer import held_against
 from onboard.identification.free_flyer.fusion import Fusion
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.regressor.signals import Signals
@@ -100,7 +100,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     nothing = np.zeros(0, np.intp)
     predictor = sheet(stated, [nothing, nothing, np.array([13])], ("imu", "imu_2"), sigma=stated)
     quiet = unsuspicious()
-    online = ExiddmIdentifier(
+    online = MotionIdentifier(
         SimpleNamespace(
             predictor=predictor,
             fusion=fusion,
@@ -127,7 +127,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     )
 
 
-def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIdentifier:
+def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> MotionIdentifier:
     """An identifier whose filter holds a payload with these standard parameters, independent of each other.
 
     ``moved``: a correction, in sigmas of what the data tell of it.
@@ -139,7 +139,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> ExiddmIde
     state[PAYLOAD], covariance[PAYLOAD, PAYLOAD] = mean, np.diag(sigma**2)
     state[-1], covariance[-1, -1] = moved * np.sqrt(0.1), 0.9
     quiet = unsuspicious()
-    return ExiddmIdentifier(
+    return MotionIdentifier(
         SimpleNamespace(
             predictor=predictor,
             fusion=Fusion(("imu",), (slice(0, 6),)),
@@ -188,8 +188,8 @@ def test_an_answer_has_the_mixtures_own_intervals_and_is_supported_by_the_wider_
     covariances = np.array([np.diag(sigma**2), np.diag((sigma * [5.0, *[1.0] * 9]) ** 2)])
     weights = np.array([0.99, 0.01])
     mixture = Mixture(weights, np.array([mean, far]), covariances)
-    monkeypatch.setattr(ExiddmIdentifier, "_payload", lambda *_: (mixture, 4.0))
-    monkeypatch.setattr(ExiddmIdentifier, "_effects", lambda *_: np.zeros((10, 0)))
+    monkeypatch.setattr(MotionIdentifier, "_payload", lambda *_: (mixture, 4.0))
+    monkeypatch.setattr(MotionIdentifier, "_effects", lambda *_: np.zeros((10, 0)))
     online = unsure(mean, sigma)
     mass = online.estimate().quantities[0]
     assert mass.mean == pytest.approx(2.001)
@@ -203,7 +203,7 @@ def test_an_answer_has_the_mixtures_own_intervals_and_is_supported_by_the_wider_
     half = 0.5 * (mass.outer[1] - mass.outer[0]) / 3.2905
     assert half > 2.0 * mass.half / 1.96
     for prior, supported in ((4.9 * half, False), (5.1 * half, True)):
-        online.exiddm.payload_sigma = np.full(10, prior)
+        online.ekf.payload_sigma = np.full(10, prior)
         assert online.estimate().quantities[0].supported is supported
 
 
@@ -218,7 +218,7 @@ def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doub
 def test_a_correction_that_is_weighed_in_every_direction_is_held_against_nothing_one_by_one() -> None:
     online = unsure(np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3), moved=5.1)
     assert any("contradicts what is stated of unknown_13" in one for one in online.findings().against)
-    weighed = held_against.HeldAgainst(online.exiddm.predictor, online.exiddm.fusion, np.array([PAYLOAD.stop]))
+    weighed = held_against.HeldAgainst(online.ekf.predictor, online.ekf.fusion, np.array([PAYLOAD.stop]))
     online._corrections = weighed
     assert all("all corrections together" in one for one in online.findings().against)
 
@@ -226,7 +226,7 @@ def test_a_correction_that_is_weighed_in_every_direction_is_held_against_nothing
 def test_a_payload_of_which_a_part_may_have_come_off_is_an_answer_that_is_doubted() -> None:
     online = unsure(np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3))
     before = online.findings()
-    online.exiddm.altered = True
+    online.ekf.altered = True
     (doubt,) = set(online.findings().doubts) - set(before.doubts)
     assert doubt.startswith("the payload changed without a release: a part came off or was added")
     assert not online.findings().against
@@ -235,7 +235,7 @@ def test_a_payload_of_which_a_part_may_have_come_off_is_an_answer_that_is_doubte
 def test_instruments_without_either_of_which_a_window_is_explained_are_named_before_what_swings() -> None:
     refused = unsure(np.array([0.2, *np.zeros(9)]), np.ones(10))
     both = "imu_base and imu_2 contradict each other, and nothing tells which is wrong"
-    unexplained = refused.exiddm.unexplained
+    unexplained = refused.ekf.unexplained
     unexplained.count, unexplained.line = 1, SimpleNamespace(instrument="gyro", frequency_Hz=2.0)
     assert "the gyro swings at 2 Hz" in refused.findings().against[0]
     unexplained.between = both
@@ -247,7 +247,7 @@ def test_what_swings_is_named_where_most_ticks_are_refused_too() -> None:
     refused = unsure(np.array([0.2, *np.zeros(9)]), np.ones(10))
     refused.refused[GateReason.RESIDUAL] = 100
     assert refused.findings().against == ("100% of the ticks contradict the others; check the IMU and the joints",)
-    refused.exiddm.unexplained.line = SimpleNamespace(instrument="gyro", frequency_Hz=5.1)
+    refused.ekf.unexplained.line = SimpleNamespace(instrument="gyro", frequency_Hz=5.1)
     assert "the gyro swings at 5.1 Hz" in refused.findings().against[0]
 
 
@@ -256,15 +256,15 @@ def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeyp
     online, asked = unsure(mean, np.full(10, 1e-3), moved=6.0), []
     counted = held_against.together
     monkeypatch.setattr(held_against, "together", lambda *given: asked.append(1) or counted(*given))
-    exiddm = online.exiddm
+    ekf = online.ekf
     assert online.findings().against
     online.estimate()
     online.triangle()
     assert len(asked) == 1
-    exiddm.state, exiddm.covariance = np.where(np.arange(14) == 13, 0.0, exiddm.state), exiddm.covariance.copy()
+    ekf.state, ekf.covariance = np.where(np.arange(14) == 13, 0.0, ekf.state), ekf.covariance.copy()
     assert not online.findings().against
     assert len(asked) == 2
-    exiddm.fusion.left_out.append(0)
+    ekf.fusion.left_out.append(0)
     online.findings()
     online.estimate()
     assert len(asked) == 3
@@ -273,7 +273,7 @@ def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeyp
 def test_what_is_held_is_not_said_of_motion_that_is_not_taken_in(mission: Any) -> None:
     """As where an encoder has jumped before a capture: no row counts from there on."""
     some = ticks_of(mission)
-    identifier = ExiddmIdentifier(online(mission, held=False))
+    identifier = MotionIdentifier(online(mission, held=False))
     unused_motion: Any = None
     whys = []
     for first, last, reason in ((0, 280, 0), (280, 370, int(GateReason.JUMPED)), (370, 460, int(GateReason.JUMPED))):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from tests.dynamics.free_flyer_twin import twin
 from tests.identification.free_flyer.recorded_flights import online, recorded, ticks_of
 
@@ -20,12 +20,12 @@ def ticks():
 
 def told_of(ticks):
     """All errors of a flight whose ticks come as on board: time, (n,); error and sigma, (n, 6); used, (n,)."""
-    found, exiddm = [], online(SimpleNamespace(period_s=np.diff(ticks.time_s)[0], samples=5))
+    found, ekf = [], online(SimpleNamespace(period_s=np.diff(ticks.time_s)[0], samples=5))
     for first in range(0, len(ticks.time_s), STEP):
-        exiddm.take(type(ticks)(*(part[first : first + STEP] for part in ticks)))
-        exiddm.finish()
-        found += ExiddmIdentifier.prediction_errors(SimpleNamespace(exiddm=exiddm))
-    assert not exiddm.innovations.told
+        ekf.take(type(ticks)(*(part[first : first + STEP] for part in ticks)))
+        ekf.finish()
+        found += MotionIdentifier.prediction_errors(SimpleNamespace(ekf=ekf))
+    assert not ekf.innovations.told
     return [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 

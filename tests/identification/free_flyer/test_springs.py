@@ -7,7 +7,7 @@ from hil_sim.plants import free_flyer, urdf_drawing
 from hil_sim.plants.parts.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.standing import Level, standing
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.free_flyer.recorded_flights import online, recorded, ticks_of
@@ -34,13 +34,13 @@ def flown(frequency_Hz):
 @pytest.mark.parametrize("frequency_Hz", [0.0, 3.0])
 def test_joints_that_give_way_are_the_reason(frequency_Hz):
     signals = flown(frequency_Hz)
-    exiddm = online(signals, held=False)
-    identifier, ticks = ExiddmIdentifier(exiddm), ticks_of(signals)
+    ekf = online(signals, held=False)
+    identifier, ticks = MotionIdentifier(ekf), ticks_of(signals)
     told = 0
     for first in range(0, len(ticks.time_s), 10):
-        exiddm.update(ticks.part(slice(first, first + 10)))
+        ekf.update(ticks.part(slice(first, first + 10)))
         told += sum(one.supported for one in identifier.estimate().quantities)
-    exiddm.finish()
+    ekf.finish()
     found = [standing(one, identifier.findings()) for one in identifier.estimate().quantities]
     assert told == 0
     if frequency_Hz:

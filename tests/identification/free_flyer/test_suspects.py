@@ -5,7 +5,7 @@ import pytest
 
 from onboard import config
 from onboard.dynamics.model.payload import body_of
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.suspects import ALL_MASSES, Rivals, suspects_of
@@ -15,7 +15,7 @@ _FEW = 1e-5
 
 @pytest.fixture(scope="module")
 def predictor() -> ImuPredictor:
-    return build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
+    return build_free_flyer(config.load(config.packaged("dymaflex")))[0].ekf.predictor
 
 
 def changed(predictor: ImuPredictor, at: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def without_mounting() -> ImuPredictor:
     prior = {key: value for key, value in estimation["imu_prior"].items() if key != "mounting_rad"}
     prior |= dict.fromkeys(["gyro_misalignment_rad", "accelerometer_misalignment_rad"], 8.7e-3)
     tree = vehicle.tree | {"estimation": estimation | {"imu_prior": prior}}
-    return build_exiddm(config.parse_tree(tree, vehicle.path, config.Origin("no mounting")))[0].exiddm.predictor
+    return build_free_flyer(config.parse_tree(tree, vehicle.path, config.Origin("no mounting")))[0].ekf.predictor
 
 
 def test_a_housing_without_a_mounting_is_turned_with_both_sensors(without_mounting: ImuPredictor) -> None:

@@ -14,16 +14,16 @@ from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.free_flyer.batch import Exiddm
+from onboard.identification.free_flyer.batch import MotionFit
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import (
     DragPrior,
     Searched,
-    TableExiddm,
+    TableFit,
     Work,
-    air_bearing_exiddm,
     drag_of,
+    table_fit,
 )
 from onboard.identification.table.joints import bound, step
 from tests.identification.table.bed_run import (
@@ -50,15 +50,15 @@ def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monke
     def fails(_):
         raise ConvergenceError("not converged")
 
-    monkeypatch.setattr(Exiddm, "fit", fails)
-    found = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
+    monkeypatch.setattr(MotionFit, "fit", fails)
+    found = table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
     drag = drag_of(found, prior.pucks)
     assert (np.abs(drag.drag - [0.3, 0.03]) < 3.5 * drag.sigma).all()
     assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * np.sqrt(found.payload.covariance[0, 0])
     assert found.misfit == pytest.approx(1.0, abs=0.1)
-    monkeypatch.setattr(TableExiddm, "searched", lambda _: [])
+    monkeypatch.setattr(TableFit, "searched", lambda _: [])
     with pytest.raises(ConvergenceError, match="not converged"):
-        air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
+        table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
 
 
 @pytest.fixture
@@ -68,16 +68,16 @@ def contradicted(run, rng):
     wrong = signals._replace(
         **{name: getattr(signals, name) * [1.0, 0.5, 1.0, 1.0, 1.0] for name in ("q", "dq", "ddq")}
     )
-    return air_bearing_exiddm(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
+    return table_fit(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
 
 
 def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contradicted, monkeypatch):
     def fails(_):
         raise ConvergenceError("not converged")
 
-    monkeypatch.setattr(Exiddm, "fit", fails)
+    monkeypatch.setattr(MotionFit, "fit", fails)
     far = Searched(contradicted.start(PAYLOAD), 1e6)
-    monkeypatch.setattr(TableExiddm, "_continued", lambda *_: far)
+    monkeypatch.setattr(TableFit, "_continued", lambda *_: far)
     with pytest.raises(ConvergenceError, match=r"contradict each other: .* times the noise"):
         contradicted.fit()
 
@@ -94,7 +94,7 @@ def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contra
 def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
     run, rng, monkeypatch, by_one_drag, by_the_other, searches
 ):
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
     left = {drags: iter(own) for drags, own in zip(air_bearing.DRAGS, (by_one_drag, by_the_other), strict=True)}
     done = []
 
@@ -102,8 +102,8 @@ def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
         done.append(6 * int(coarse.valid.sum()) * next(left[drags]))
         return Searched(coarse.start(guess), done[-1])
 
-    monkeypatch.setattr(TableExiddm, "_continued", continued)
-    assert len(exiddm.searched()) == 2
+    monkeypatch.setattr(TableFit, "_continued", continued)
+    assert len(motion_fit.searched()) == 2
     assert len(done) == searches
 
 
@@ -111,15 +111,15 @@ def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
     def fails(_):
         raise ConvergenceError("not converged")
 
-    predicted, residuals = [], TableExiddm.residuals
+    predicted, residuals = [], TableFit.residuals
 
-    def counted(exiddm, x, ticks=None):
+    def counted(motion_fit, x, ticks=None):
         predicted.append(ticks)
-        return residuals(exiddm, x, ticks)
+        return residuals(motion_fit, x, ticks)
 
-    monkeypatch.setattr(Exiddm, "fit", fails)
+    monkeypatch.setattr(MotionFit, "fit", fails)
     monkeypatch.setattr(air_bearing, "_MOST_TICKS", 5000)
-    monkeypatch.setattr(TableExiddm, "residuals", counted)
+    monkeypatch.setattr(TableFit, "residuals", counted)
     with pytest.raises(ConvergenceError):
         contradicted.fit()
     assert 5000 <= sum(predicted) < 5000 + max(predicted)
@@ -127,13 +127,13 @@ def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
 
 def test_a_fit_whose_pucks_push_is_searched_again(run):
     """Coulomb drag of one puck below zero by more than its sigma: a run of the bed (seed 91003) was 12 sigmas off."""
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
-    x, covariance = exiddm.start(PAYLOAD), np.eye(len(exiddm.start(PAYLOAD)))
-    drag = exiddm.layout.estimated("drag")
+    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    x, covariance = motion_fit.start(PAYLOAD), np.eye(len(motion_fit.start(PAYLOAD)))
+    drag = motion_fit.layout.estimated("drag")
     covariance[drag, drag] = 0.2**2
 
     def pushes() -> bool:
-        return exiddm.pushes(SimpleNamespace(x=x, covariance=covariance))
+        return motion_fit.pushes(SimpleNamespace(x=x, covariance=covariance))
 
     assert not pushes()
     x[drag] = [-0.1, 0.0, 0.3, 0.0, 0.0, 0.0]  # one puck of three
@@ -146,8 +146,8 @@ def test_a_fit_whose_pucks_push_is_searched_again(run):
 
 
 def test_payload_and_drag_of_a_noisy_run(run, rng):
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
-    found = exiddm.fit()
+    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    found = motion_fit.fit()
     sigma = np.sqrt(np.diag(found.payload.covariance))
     drag = drag_of(found, PUCKS)
     assert drag.reason == ""
@@ -159,7 +159,7 @@ def test_payload_and_drag_of_a_noisy_run(run, rng):
     assert (drag.sigma[2:4] < [0.4, 0.04]).all()
     assert found.misfit == pytest.approx(1.0, abs=0.1)
     pushing = found.fit.x.copy()
-    pushing[exiddm.names.index("Fv_puck_3")] = -5.0 * drag.sigma[4]
+    pushing[motion_fit.names.index("Fv_puck_3")] = -5.0 * drag.sigma[4]
     assert "Fv_puck_3 came out negative" in drag_of(found._replace(fit=found.fit._replace(x=pushing)), PUCKS).reason
 
 
@@ -171,21 +171,19 @@ def test_an_imu_too_bad_for_the_motion_does_not_determine_the_payload(run, rng):
         rate_sigma=np.full(3, 2.0),
         specific_force_sigma=np.full(3, 20.0),
     )
-    found = air_bearing_exiddm(run.vehicle, "imu_base", worse, WIDE, {}, PRIOR).fit()
+    found = table_fit(run.vehicle, "imu_base", worse, WIDE, {}, PRIOR).fit()
     assert "does not determine the payload" in drag_of(found, PUCKS).reason
 
 
 def test_an_arm_that_stands_still_fits_nothing(rng):
-    exiddm = air_bearing_exiddm(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, PRIOR)
+    motion_fit = table_fit(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, PRIOR)
     with pytest.raises(ConvergenceError, match="no joint moves"):
-        exiddm.fit()
+        motion_fit.fit()
 
 
 def test_a_gyro_that_reads_too_much_contradicts_the_joints(run, rng):
     signals = noisy(run, rng).coarser(2)
-    found = air_bearing_exiddm(
-        run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR
-    ).fit()
+    found = table_fit(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR).fit()
     assert "contradict" in drag_of(found, PUCKS).reason
 
 
@@ -193,40 +191,36 @@ def test_what_cannot_be_used_is_named(run):
     signals = exact(run)
     own = standard_covariance(run.vehicle.chi[:10], 0.01, 1e-3, 0.01)
     with pytest.raises(SignalError, match="the base is free"):
-        air_bearing_exiddm(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, PRIOR)
+        table_fit(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="no payload link"):
-        air_bearing_exiddm(vehicle(payload=None), "imu_base", signals, WIDE, {}, PRIOR)
+        table_fit(vehicle(payload=None), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="hand is none"):
-        air_bearing_exiddm(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, PRIOR)
+        table_fit(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, PRIOR)
     with pytest.raises(UnknownFrameError, match="'puck_4'"):
-        air_bearing_exiddm(
-            run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"puck_4": DragPrior(1.0, 1.0)})
-        )
+        table_fit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"puck_4": DragPrior(1.0, 1.0)}))
     with pytest.raises(UnknownFrameError, match="moves with a joint"):
-        air_bearing_exiddm(
-            run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"link_3": DragPrior(1.0, 1.0)})
-        )
+        table_fit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"link_3": DragPrior(1.0, 1.0)}))
     with pytest.raises(SignalError, match="joints must be known"):
-        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, PRIOR)
+        table_fit(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, PRIOR)
     with pytest.raises(SignalError, match="rates and specific forces"):
-        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, PRIOR)
+        table_fit(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, PRIOR)
     gone = signals.rate.copy()
     gone[: len(gone) // 2 + 1] = np.nan
     with pytest.raises(SignalError, match="no IMU"):
-        air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
+        table_fit(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
 
 
 def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
-    x = exiddm.start(PAYLOAD)
-    drag = exiddm.layout.estimated("drag")
-    held = np.setdiff1d(np.arange(x.size), exiddm.layout.estimated("tilt"))
+    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    x = motion_fit.start(PAYLOAD)
+    drag = motion_fit.layout.estimated("drag")
+    held = np.setdiff1d(np.arange(x.size), motion_fit.layout.estimated("tilt"))
     for puck, value in zip(range(len(PUCKS)), DRAGS, strict=True):
         x[drag[2 * puck : 2 * puck + 2]] = value.viscous_N_s_m, value.coulomb_N
     x[:3] = [0.02, -0.01, 0.05]
-    done = exiddm.held(x, held, 1e-3, len(exact(run).q), Work(10**6))
+    done = motion_fit.held(x, held, 1e-3, len(exact(run).q), Work(10**6))
     np.testing.assert_array_equal(done.x[held], x[held])
-    np.testing.assert_allclose(done.x[exiddm.layout.estimated("tilt")], TILT, atol=2e-4)
+    np.testing.assert_allclose(done.x[motion_fit.layout.estimated("tilt")], TILT, atol=2e-4)
 
 
 def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, rng):
@@ -234,10 +228,10 @@ def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, 
     off = 0.01 * np.eye(5)[2]  # of joint_3, read too large
     joints = {joint.name: JointPrior(zero=0.005) for joint in run.vehicle.joints}
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
-    plain = exiddm.fit()
-    stepped = step(exiddm, plain.fit)
-    found, zeros = exiddm.found(stepped.fit), stepped.joints
+    motion_fit = table_fit(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
+    plain = motion_fit.fit()
+    stepped = step(motion_fit, plain.fit)
+    found, zeros = motion_fit.found(stepped.fit), stepped.joints
     assert zeros.names == tuple(f"zero_{name}" for name in joints)
     assert (np.abs(zeros.values + off) < 3.5 * zeros.sigma).all()
     assert zeros.sigma[2] < 0.002
@@ -250,7 +244,7 @@ def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, 
     ]
     assert away[0].max() > 5.0
     assert away[1].max() < 3.5
-    known = bound(exiddm, plain.fit.x)
+    known = bound(motion_fit, plain.fit.x)
     assert known == pytest.approx(found.fit.covariance, rel=1e-6, abs=1e-12)
 
 
@@ -259,22 +253,22 @@ def test_a_joint_out_of_place_predicts_what_a_drawing_of_it_there_does(run):
     assert rest.startswith("0 0 0.14")
     moved = head + seat + "0.004 -0.003 0.142" + rest.removeprefix("0 0 0.14")
     elsewhere = VehicleModel(moved, VehicleSpec(BaseKind.PLANAR, "base", "payload"))
-    drawn = air_bearing_exiddm(elsewhere, "imu_base", exact(run), WIDE, {}, PRIOR)
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    drawn = table_fit(elsewhere, "imu_base", exact(run), WIDE, {}, PRIOR)
+    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
     errors = np.zeros((5, 6))
     errors[4, :3] = 0.004, -0.003, 0.002
-    x = exiddm.start(PAYLOAD)
-    told, there = (one.residuals(x)[0] for one in (exiddm.with_errors(errors), drawn))
+    x = motion_fit.start(PAYLOAD)
+    told, there = (one.residuals(x)[0] for one in (motion_fit.with_errors(errors), drawn))
     assert told == pytest.approx(there, abs=1e-9)
-    assert np.abs(told - exiddm.residuals(x)[0]).max() > 1.0
+    assert np.abs(told - motion_fit.residuals(x)[0]).max() > 1.0
 
 
 def test_an_open_place_along_the_vertical_leaves_the_payloads_height_open(run, rng):
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {"joint_5": JointPrior(place_m=0.01)}))
-    exiddm = air_bearing_exiddm(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
-    plain = exiddm.fit()
-    stepped = step(exiddm, plain.fit)
-    found, places = exiddm.found(stepped.fit), stepped.joints
+    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
+    plain = motion_fit.fit()
+    stepped = step(motion_fit, plain.fit)
+    found, places = motion_fit.found(stepped.fit), stepped.joints
     before, after = (np.sqrt(one.payload.covariance[3, 3]) for one in (plain, found))
     assert before < 1e-3
     assert after == pytest.approx(np.hypot(before, places.sigma[2]), rel=0.2)

@@ -5,7 +5,7 @@ import pytest
 
 from onboard.estimation.smoothing import SmoothingWindow, uncorrelated_s
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
-from onboard.identification.table.air_bearing import air_bearing_exiddm
+from onboard.identification.table.air_bearing import table_fit
 from onboard.identification.table.joints import step
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
@@ -49,7 +49,7 @@ def test_a_payload_is_inside_its_interval_where_the_noise_of_the_joints_is_state
     left = []
     for stated in (True, False):
         signals = with_noise(clean, np.random.default_rng(11), stated)
-        found = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, PRIOR).near(_truth(signals))
+        found = table_fit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR).near(_truth(signals))
         sigma = float(np.sqrt(found.payload.covariance[0, 0]))
         left.append((found.misfit, abs(found.payload.body.mass_kg - BOX.mass_kg) / sigma))
     assert left[0][0] == pytest.approx(1.0, abs=0.25)
@@ -58,9 +58,9 @@ def test_a_payload_is_inside_its_interval_where_the_noise_of_the_joints_is_state
 
 
 def _truth(signals):
-    exiddm = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, PRIOR)
-    x = exiddm.start(PAYLOAD)
-    x[exiddm.layout.estimated("drag")] = [value for one in DRAGS for value in (one.viscous_N_s_m, one.coulomb_N)]
+    motion_fit = table_fit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR)
+    x = motion_fit.start(PAYLOAD)
+    x[motion_fit.layout.estimated("drag")] = [value for one in DRAGS for value in (one.viscous_N_s_m, one.coulomb_N)]
     return x
 
 
@@ -73,21 +73,21 @@ def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
     signals = clean._replace(q=read[0], dq=read[1], ddq=read[2], cyclic=functions).coarser(2)
     joint = vehicle().joints[1].name
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {joint: JointPrior(cyclic=((1.0, 0.006),))}))
-    exiddm = air_bearing_exiddm(vehicle(), "imu_base", signals, WIDE, {}, prior)
-    plain = exiddm.near(_truth(signals))
-    corrected = step(exiddm, plain.fit)
+    motion_fit = table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior)
+    plain = motion_fit.near(_truth(signals))
+    corrected = step(motion_fit, plain.fit)
     multiples = dict(zip(corrected.joints.names, corrected.joints.values, strict=True))
     assert list(multiples) == [f"cyclic_0_cos_{joint}", f"cyclic_0_sin_{joint}"]
     assert abs(multiples[f"cyclic_0_cos_{joint}"]) == pytest.approx(0.006, abs=3.5 * corrected.joints.sigma[0])
-    body = exiddm.found(corrected.fit).payload
+    body = motion_fit.found(corrected.fit).payload
     assert abs(body.body.mass_kg - BOX.mass_kg) < 3.5 * float(np.sqrt(body.covariance[0, 0]))
     assert corrected.fit.residual_sum < plain.fit.residual_sum - 100.0
 
 
 def test_a_fit_that_begins_where_pucks_push_ends_where_they_drag(clean):
-    exiddm = air_bearing_exiddm(vehicle(), "imu_base", clean.coarser(2), WIDE, {}, PRIOR)
-    x, truth = _truth(clean.coarser(2)), exiddm.near(_truth(clean.coarser(2)))
-    drag = exiddm.layout.estimated("drag")
+    motion_fit = table_fit(vehicle(), "imu_base", clean.coarser(2), WIDE, {}, PRIOR)
+    x, truth = _truth(clean.coarser(2)), motion_fit.near(_truth(clean.coarser(2)))
+    drag = motion_fit.layout.estimated("drag")
     x[drag[1::2]] *= -1.0
-    found = exiddm.near(x)
+    found = motion_fit.near(x)
     assert found.fit.residual_sum == pytest.approx(truth.fit.residual_sum, rel=1e-3)

@@ -10,7 +10,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.table.air_bearing import (
-    air_bearing_exiddm,
+    table_fit,
 )
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, PUCKS, TILT, WIDE, exact, vehicle
@@ -60,25 +60,25 @@ def test_motion_is_mujocos_drag_and_tilt_included(run):
 
 
 def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
-    exiddm = air_bearing_exiddm(
+    motion_fit = table_fit(
         run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU, sag=1.0)
     )
-    x = exiddm.start(PAYLOAD)
-    names = list(exiddm.names)
+    x = motion_fit.start(PAYLOAD)
+    names = list(motion_fit.names)
     x[:3] = run.flight.velocity[0]
     for puck, drag in zip(PUCKS, DRAGS, strict=True):
         x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
     x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
-    assert np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[:, 2:5] * 1e-3).max() < 2e-3  # one tick in a turn of a puck
-    assert np.abs(exiddm.residuals(x)[0]).mean() * 1e-3 < 2e-5
+    assert np.abs(motion_fit.residuals(x)[0].reshape(-1, 6)[:, 2:5] * 1e-3).max() < 2e-3  # one tick in a turn of a puck
+    assert np.abs(motion_fit.residuals(x)[0]).mean() * 1e-3 < 2e-5
     ticks = 120
     for degree, sag in enumerate((0.3, -0.2, 0.1), 1):
         x[names.index(f"sag_{degree}")] = sag
-    jacobian = exiddm.residuals(x, ticks)[1]
+    jacobian = motion_fit.residuals(x, ticks)[1]
     for k, name in enumerate(names):
         step = np.zeros(x.size)
         step[k] = 1e-6
-        slope = (exiddm.residuals(x + step, ticks)[0] - exiddm.residuals(x - step, ticks)[0]) / 2e-6
+        slope = (motion_fit.residuals(x + step, ticks)[0] - motion_fit.residuals(x - step, ticks)[0]) / 2e-6
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
 
 
@@ -110,14 +110,14 @@ def test_a_tick_is_the_mean_of_its_samples(run):
     signals = FlightSignals(period_s, *run.motion.at(time_s[:, middle, 0]), *means, sigma, sigma, samples)
     left = []
     for told in (samples, 1):
-        exiddm = air_bearing_exiddm(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
-        x = exiddm.start(PAYLOAD)
-        names = list(exiddm.names)
+        motion_fit = table_fit(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
+        x = motion_fit.start(PAYLOAD)
+        names = list(motion_fit.names)
         x[:3] = f.velocity[middle]
         for puck, drag in zip(PUCKS, DRAGS, strict=True):
             x[names.index(f"Fv_{puck}")], x[names.index(f"Fc_{puck}")] = drag.viscous_N_s_m, drag.coulomb_N
         x[[names.index("tilt_x"), names.index("tilt_y")]] = TILT
-        left.append(np.abs(exiddm.residuals(x)[0].reshape(-1, 6)[5:-5, 2]).mean())  # gyro, about the vertical
+        left.append(np.abs(motion_fit.residuals(x)[0].reshape(-1, 6)[5:-5, 2]).mean())  # gyro, about the vertical
     assert left[0] < 0.2 * left[1]
 
 

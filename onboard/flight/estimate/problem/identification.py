@@ -25,7 +25,7 @@ from onboard.flight.estimate.problem.priors import (
     biases,
     check_springs,
     disturbance_prior,
-    exiddm_prior,
+    free_flyer_prior,
     geometry_prior,
     row_prior,
     tracker_of,
@@ -34,7 +34,7 @@ from onboard.flight.estimate.problem.sigma_keys import SigmaKeys
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.flexible import require_stiff
 from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
@@ -46,7 +46,7 @@ from onboard.identification.free_flyer.prediction.further import (
 )
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
@@ -110,7 +110,7 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleMode
 
 
 def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
-    """The ExIDDM of a vehicle file: recursive for a free base, afterwards on an air-bearing table and between hands.
+    """The estimator of a predicted base: recursive for a free base, in a batch on a table and between hands.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
@@ -123,7 +123,7 @@ def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, Vehicle
 
 def build_parabolas(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
     """What flies between hands, where the momentum changes with every release; and the vehicle's model."""
-    online, model = build_exiddm(vehicle)
+    online, model = build_free_flyer(vehicle)
     return TableRun(str(model.spec.payload_link), online.further), model
 
 
@@ -147,8 +147,8 @@ def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> Online
     return Hypotheses(lambda: build_identifier(vehicle)[0], redundant)
 
 
-def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[ExiddmIdentifier, VehicleModel]:
-    """The recursive non-linear ExIDDM of a vehicle file, and the model under it.
+def build_free_flyer(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[MotionIdentifier, VehicleModel]:
+    """The filter of a free base by its vehicle file, and the model under it.
 
     Args:
         vehicle: its file.
@@ -162,7 +162,7 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
     try:
         model = build_model(vehicle)
         check_joints(roles, model)
-        covariance, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+        covariance, imu_prior, payload_sigma = free_flyer_prior(vehicle, model)
         period_s, geometry = 1.0 / settings.row_rate_hz, geometry_prior(vehicle, model)
         require_stiff(model, geometry)
         further = further_instruments(vehicle, model, imu_prior)
@@ -179,10 +179,10 @@ def build_exiddm(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[Exid
         known = _start(vehicle, names)[:2] if settings.carried else None
         step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
         told = asked.held_at_start, asked.false_alarms_per_hour, known
-        exiddm = RecursiveExiddm(predictor, payload_sigma, *told, step_ticks)
+        ekf = MotionFilter(predictor, payload_sigma, *told, step_ticks)
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
-    return ExiddmIdentifier(exiddm), model
+    return MotionIdentifier(ekf), model
 
 
 def samples_per_tick(vehicle: config.Vehicle) -> int:
@@ -205,7 +205,7 @@ def _samples(vehicle: config.Vehicle, channel: str) -> int:
 
 
 def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior: ImuPrior) -> list[Further]:
-    """What the ExIDDM uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
+    """What the filter uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
     found, roles = list[Further](), roles_of(vehicle)
     for imu in roles.imus[1:]:
         if (samples := _samples(vehicle, imu.channels[0])) >= 2:
@@ -262,7 +262,7 @@ def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
         check_thrusters(roles)
         check_springs(vehicle, "not on a table")
         model.pose_in_base(roles.imu.frame)
-        exiddm_prior(vehicle, model)
+        free_flyer_prior(vehicle, model)
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
     for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
@@ -396,7 +396,7 @@ class FlyingMethod(NamedTuple):
 
 
 PREDICTED: Mapping[config.Prediction, Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]] = {
-    config.Prediction.FREE: build_exiddm,
+    config.Prediction.FREE: build_free_flyer,
     config.Prediction.PARABOLAS: build_parabolas,
     config.Prediction.PLANAR: build_planar,
     config.Prediction.PIVOT: build_pivot,

@@ -1,4 +1,4 @@
-"""What the vehicle file states before a flight: links, instruments, joints, payload; for the ExIDDM and for rows."""
+"""What the vehicle file states before a flight: links, instruments, joints, payload; for predictions and for rows."""
 
 from collections.abc import Mapping
 from math import hypot
@@ -25,7 +25,9 @@ UNTOLD_m_s2 = 4e-4
 UNTOLD_BIAS_m_s2, UNTOLD_BIAS_rad_s = 0.1, 8.7e-3
 
 
-def exiddm_prior(vehicle: config.Vehicle, model: VehicleModel) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
+def free_flyer_prior(
+    vehicle: config.Vehicle, model: VehicleModel
+) -> tuple[dict[str, FloatArray], ImuPrior, FloatArray]:
     """What is known before a flight: covariances of links, prior on instrument errors, sigmas of a payload (10,).
 
     Raises:

@@ -1,4 +1,4 @@
-"""Keys of the vehicle file that state the sigma of a parameter of the ExIDDM."""
+"""Keys of the vehicle file that state the sigma of a parameter of a prediction."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Joint torques: what vehicle.toml states of them, as instruments of a free base's ExIDDM; their ticks, and in rows."""
+"""Joint torques: what vehicle.toml states of them, as instruments of a free base's filter; their ticks, and in rows."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Bound of a free-flyer's payload by the ExIDDM: the covariance of the filter that flies, along the planned motion.
+"""Bound of a free-flyer's payload: the covariance of the filter that flies, along the planned motion.
 
 The flight's predictor gives the IMU's readings, their derivatives by all unknowns and how these are carried; sigmas
 of instruments, links and joints are the vehicle file's. No reading is made: the covariance of an extended Kalman filter
@@ -20,12 +20,12 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.problem.identification import build_exiddm, channels_of
+from onboard.flight.estimate.problem.identification import build_free_flyer, channels_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
 from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.ground.before.foresee.plan import Foreseen, MotionNoise, MotionPlan, axes_words, body_values, expected
-from onboard.identification.free_flyer.online import ExiddmIdentifier, rows_of
+from onboard.identification.free_flyer.online import MotionIdentifier, rows_of
 from onboard.identification.free_flyer.prediction.further import Further
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 
@@ -50,10 +50,10 @@ def foresee_free(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     flown = fly(vehicle, plan, round(_BATCH_S * vehicle.file.estimation.row_rate_hz))
     if flown is None:
         return Foreseen((), (), None, 0.0, ())
-    exiddm, model = flown.identifier.exiddm, flown.model
+    ekf, model = flown.identifier.ekf, flown.model
     # what is left at the end of the last time that it was held
-    exiddm.state, exiddm.covariance, exiddm.held = flown.state, flown.covariance, True
-    exiddm.ticks_used = int(plan.held.sum())
+    ekf.state, ekf.covariance, ekf.held = flown.state, flown.covariance, True
+    ekf.ticks_used = int(plan.held.sum())
     found = flown.identifier.estimate().quantities
     spread = np.sqrt(np.diag(body_covariance(flown.payload, flown.covariance[PAYLOAD, PAYLOAD])))
     values = body_values(model, flown.payload)
@@ -61,13 +61,13 @@ def foresee_free(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     both = plan.used(vehicle) & plan.held
     R_BS, _ = model.pose_in_base(roles_of(vehicle).imu.frame)
     words = axes_words(model, plan, flown.rate @ R_BS.T, both)
-    return Foreseen(tuple(told), (), flown.payload, float(both.sum() * exiddm.predictor.period_s), words)
+    return Foreseen(tuple(told), (), flown.payload, float(both.sum() * ekf.predictor.period_s), words)
 
 
 class FilteredMotion(NamedTuple):
     """The filter after a planned motion, as it was when the payload was last held."""
 
-    identifier: ExiddmIdentifier
+    identifier: MotionIdentifier
     model: VehicleModel
     payload: RigidBody
     state: FloatArray  # (p,)
@@ -86,8 +86,8 @@ def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) ->
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    identifier, model = build_exiddm(vehicle, tracked=False)
-    predictor, payload = identifier.exiddm.predictor, plan.payload
+    identifier, model = build_free_flyer(vehicle, tracked=False)
+    predictor, payload = identifier.ekf.predictor, plan.payload
     if payload is None or not plan.held.any():
         return None
     noise, used = FilterNoise(vehicle, model, predictor.further), plan.used(vehicle)
@@ -98,7 +98,7 @@ def fly(vehicle: config.Vehicle, plan: MotionPlan, batch: int = _BATCH_TICKS) ->
     last_held = state, covariance
     for first, last in pairwise(edges):
         held = bool(plan.held[first])
-        for block, width in ((RATE, np.full(3, _ANY_RATE_rad_s)), (PAYLOAD, held * identifier.exiddm.payload_sigma)):
+        for block, width in ((RATE, np.full(3, _ANY_RATE_rad_s)), (PAYLOAD, held * identifier.ekf.payload_sigma)):
             covariance[block], covariance[:, block] = 0.0, 0.0
             covariance[block, block] = np.diag(width**2)
         state[PAYLOAD] = standard_of(payload) if held else _NOTHING

@@ -7,7 +7,7 @@ from onboard.dynamics.model.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
-from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
 from onboard.ground.before.foresee.plan import (
@@ -24,7 +24,7 @@ from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
 from onboard.ground.identify.kinds.planar_log import table_prior, ticks_together, underway
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.standing import Level
-from onboard.identification.table.air_bearing import air_bearing_exiddm
+from onboard.identification.table.air_bearing import table_fit
 from onboard.identification.table.joints import bound
 
 
@@ -49,7 +49,7 @@ def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     first = int(np.flatnonzero(both)[0])
     last = min(int(np.flatnonzero(both)[-1]) + 1, first + round(LONGEST_S / period_s))
     run = slice(first, last)
-    links, _, payload_sigma = exiddm_prior(vehicle, model)
+    links, _, payload_sigma = free_flyer_prior(vehicle, model)
     noise = np.concatenate([np.array(roles.signals[c].noise) for c in roles.imu.channels]) / np.sqrt(samples)
     nothing = np.zeros((last - first, 3))
     of_joints = MotionNoise(vehicle, model, CYCLIC_LEFT)
@@ -61,14 +61,14 @@ def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     ).coarser(ticks_together(vehicle))
     prior = table_prior(vehicle) if first == 0 else underway(table_prior(vehicle))
     prior = prior._replace(geometry=geometry_prior(vehicle, model))
-    exiddm = air_bearing_exiddm(model, roles.imu.frame, flight, payload_sigma, links, prior, payload)
+    motion_fit = table_fit(model, roles.imu.frame, flight, payload_sigma, links, prior, payload)
     start = np.array([plan.velocity_m_s[0], plan.velocity_m_s[1], plan.rate_rad_s[2]])
-    x = exiddm.parameters(start, payload)
-    drags = {name: k for k, name in enumerate(exiddm.names) if name.startswith(("Fv_", "Fc_"))}
+    x = motion_fit.parameters(start, payload)
+    drags = {name: k for k, name in enumerate(motion_fit.names) if name.startswith(("Fv_", "Fc_"))}
     for name, at in drags.items():
         x[at] = plan.drag[name.startswith("Fc_")]
-    covariance = bound(exiddm, x)
-    own = exiddm.layout.estimated("payload")
+    covariance = bound(motion_fit, x)
+    own = motion_fit.layout.estimated("payload")
     body = body_estimate(x[own], covariance[np.ix_(own, own)])
     names = tuple(body_values(model, payload))
     answers = body_answers(names, *body, 1.0, np.sqrt(np.diag(body.covariance)))
@@ -77,7 +77,7 @@ def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
         Expected(one.name, one.unit, one.value, one.sigma, *each.get(one.name, (Level.WEAK, UNDETERMINED)))
         for one in answers
     ]
-    sigma, stated = np.sqrt(np.diag(covariance)), exiddm.layout.sigma
+    sigma, stated = np.sqrt(np.diag(covariance)), motion_fit.layout.sigma
     drag = []
     for name, at in drags.items():
         fine = sigma[at] <= SUPPORTED_SHRINKAGE * stated[at]

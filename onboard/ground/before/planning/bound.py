@@ -61,7 +61,7 @@ class Bound(ABC):
 
 
 class FreeBound(Bound):
-    """For a free-flyer with the ExIDDM.
+    """For a free-flyer.
 
     Attributes:
         unknowns: names of the p unknowns of the estimator.
@@ -81,7 +81,7 @@ class FreeBound(Bound):
         if still:
             before.state[RATE] = 0.0
         self._before, self._model, self._payload = before, before.model, plan.payload
-        self._predictor = before.identifier.exiddm.predictor
+        self._predictor = before.identifier.ekf.predictor
         self._prior = np.linalg.inv(before.covariance)
         self._noise = FilterNoise(vehicle, before.model, self._predictor.further)
         self._chi = self._model.chi.copy()
@@ -91,7 +91,7 @@ class FreeBound(Bound):
         self.unknowns = tuple(self._predictor.names)
         self.prior_sigma = np.nan_to_num(self._predictor.sigma)
         self.prior_sigma[RATE] = _ANY_RATE_rad_s
-        self.prior_sigma[PAYLOAD] = before.identifier.exiddm.payload_sigma
+        self.prior_sigma[PAYLOAD] = before.identifier.ekf.payload_sigma
 
     def of(self, moved: FloatArray) -> MotionBound:
         """See the base class."""

@@ -23,7 +23,7 @@ from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
@@ -39,7 +39,7 @@ from onboard.identification.free_flyer.before_capture import (
     before_capture,
 )
 from onboard.identification.free_flyer.misread import mistaken
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import JumpedJoint
@@ -69,14 +69,14 @@ class _Onboard(NamedTuple):
     left_out: frozenset[str] = frozenset()  # instruments that it did without at the end
 
 
-def identify_exiddm(vehicle: config.Vehicle, log: LogReader) -> Identified:
+def identify_free_flyer(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """Estimate of the payload that a free-flyer held the longest.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    online, model = build_exiddm(vehicle, tracked=False)
+    online, model = build_free_flyer(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = JumpRecorder(payload, len(model.joints), online.further)
     estimator = Estimator(vehicle, recorder)
@@ -97,12 +97,12 @@ class _Flight:
     def __init__(
         self,
         vehicle: config.Vehicle,
-        online: ExiddmIdentifier,
+        online: MotionIdentifier,
         ticks: Ticks,
         attached: BoolArray,
         jumps: Sequence[tuple[str, EncoderJump]] = (),
     ) -> None:
-        settings, predictor = vehicle.file.estimation, online.exiddm.predictor
+        settings, predictor = vehicle.file.estimation, online.ekf.predictor
         self._jumps, times_s = jumps, [1e-9 * jump.vehicle_ns for _, jump in jumps]
         self._jumped = [(at_s, JumpedJoint(predictor, *one).changed) for at_s, one in zip(times_s, jumps, strict=True)]
         self._jumped_at: list[int] = np.searchsorted(ticks.time_s, times_s).tolist()
@@ -118,7 +118,7 @@ class _Flight:
         """Estimates and verdict of the flight."""
         kept = likelihood_log.Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
         seen = int(np.isfinite(self._ticks.measured).sum())
-        if self._online.exiddm.predictor.bends.size:
+        if self._online.ekf.predictor.bends.size:
             return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
         if mistaken := self._misread():
             return likelihood_log.no_answer(kept, seen, mistaken, misread=True)
@@ -155,7 +155,7 @@ class _Flight:
         if not self._recorded or not self._held or not self._attached.all():
             return ""
         ticks = self._ticks.part(slice(round(likelihood_log.LONGEST_S / self._period_s)))
-        return mistaken(self._online.exiddm.predictor, ticks, self._period_s, self._smoothing_s)
+        return mistaken(self._online.ekf.predictor, ticks, self._period_s, self._smoothing_s)
 
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
@@ -169,7 +169,7 @@ class _Flight:
         touched_s = (from_s - ANNOUNCED_s, from_s + ANNOUNCED_s) if announced else (from_s, until_s)
         ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
         about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
-        found, predictor = made.found, self._online.exiddm.predictor
+        found, predictor = made.found, self._online.ekf.predictor
         state, zeros = made.flight.state(found.fit.x, number), Zeros(*made.flight.zeros(found.fit, touched_s[0]))
         try:
             payload = Payload(found.chi, found.chi_covariance)
@@ -194,15 +194,15 @@ class _Flight:
         Raises:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
         """
-        names = self._online.exiddm.predictor.instruments
+        names = self._online.ekf.predictor.instruments
         excluded = set[int]()
         on_board = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
-        exiddm = self._online.exiddm
+        ekf = self._online.ekf
 
         def without(*more: int) -> WholeFlight:
             left_out = {*excluded, *hardly, *more}
-            return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments, left_out, self._jumped)
+            return WholeFlight(ekf.predictor, ekf.payload_sigma, segments, left_out, self._jumped)
 
         failure: Exception | None = None
         for left_out in [set[int](), *([on_board] if on_board else [])]:  # that it was wrong may be known better now
@@ -240,7 +240,7 @@ class _Flight:
         """Of the ticks with any instrument, those with each one that is not the only IMU, by its number."""
         seen = np.isfinite(self._ticks.measured)
         ticks = max(1, int(seen.any(axis=1).sum()))
-        predictor = self._online.exiddm.predictor
+        predictor = self._online.ekf.predictor
         shares = {at: float(seen[:, own].all(axis=1).sum() / ticks) for at, own in enumerate(predictor.lines)}
         others = [shares[at] for at in range(1, len(predictor.imu_frames))]
         return shares if max(others, default=0.0) >= MOSTLY else {at: share for at, share in shares.items() if at}
@@ -305,30 +305,30 @@ class _Flight:
                 mean = rows["mean"][known][-1] if known.any() else mean
         if not mean[0] > 0.0:
             return None
-        rest = np.zeros(len(self._online.exiddm.predictor.names) - PAYLOAD.stop)
+        rest = np.zeros(len(self._online.ekf.predictor.names) - PAYLOAD.stop)
         changes.sort(key=lambda change: change.time_s)
         return _Onboard(changes, np.concatenate([mean, rest]), (), frozenset(left_out))
 
     def _again(self) -> _Onboard:
         """What the recursive estimator makes of the ticks."""
-        exiddm, before = self._online.exiddm, None
+        ekf, before = self._online.ekf, None
         announced = (np.flatnonzero(np.diff(self._attached)) + 1).tolist()
         for first, last in pairwise(sorted({0, *announced, *self._jumped_at, len(self._attached)})):
             for at, jump in zip(self._jumped_at, self._jumps, strict=True):
                 if at == first:
-                    exiddm.jumped(*jump)
+                    ekf.jumped(*jump)
             held = bool(self._attached[first]) if last > first else before
             if before is not None and held != before:
-                exiddm.announce(bool(held), float(self._ticks.time_s[first]))
+                ekf.announce(bool(held), float(self._ticks.time_s[first]))
             before = held
             for at in range(first, last, BATCH_TICKS):
-                exiddm.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
-        exiddm.finish()
-        size = len(exiddm.predictor.names) - RATE.stop
-        state = exiddm.state if exiddm.state is not None and exiddm.held else np.zeros(size + RATE.stop)
+                ekf.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
+        ekf.finish()
+        size = len(ekf.predictor.names) - RATE.stop
+        state = ekf.state if ekf.state is not None and ekf.held else np.zeros(size + RATE.stop)
         known = state[RATE.stop] > 0.0
-        left_out = frozenset(exiddm.fusion.contradicting)
-        return _Onboard(list(exiddm.changes), state[RATE.stop :].copy(), () if known else STAGES_s, left_out)
+        left_out = frozenset(ekf.fusion.contradicting)
+        return _Onboard(list(ekf.changes), state[RATE.stop :].copy(), () if known else STAGES_s, left_out)
 
 
 def _begin(run: likelihood_log.TickRun) -> int:

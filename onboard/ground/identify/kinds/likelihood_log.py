@@ -22,13 +22,13 @@ from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuant
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import contradicted
-from onboard.identification.free_flyer.batch import Exiddm, PayloadFit, held_out
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_out
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
-from onboard.identification.table.air_bearing import TableExiddm
+from onboard.identification.table.air_bearing import TableFit
 from onboard.identification.table.rivals import answered
 from onboard.identification.useful import Useful
 from onboard.identification.verdict import Evidence, standings_of, verdict
@@ -78,7 +78,7 @@ class CheckedFit(NamedTuple):
     outer: FloatArray | None = None  # (2, 10) ends of their 99.9 % intervals about them, variances not yet wider
 
 
-Build = Callable[[Ticks, bool], TableExiddm]  # the estimator of ticks; whether their first is the first of all
+Build = Callable[[Ticks, bool], TableFit]  # the estimator of ticks; whether their first is the first of all
 Judge = Callable[[PayloadFit, float], BaseResult]  # what else a fit says, its variances so much wider
 
 
@@ -96,9 +96,9 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     if len(ticks.time_s) * kept.period_s < SHORTEST_S or not used:
         return no_answer(kept, 0)
     try:
-        exiddm = build(ticks, True)
-        found = exiddm.fit()
-        corrected, stated, joints, of_encoders = answered(exiddm, found)
+        motion_fit = build(ticks, True)
+        found = motion_fit.fit()
+        corrected, stated, joints, of_encoders = answered(motion_fit, found)
     except (EstimationError, ModelError) as error:
         return no_answer(kept, used, f"the fit failed: {error}")
     wider = max(1.0, stated.misfit)  # the residual is not below the noise
@@ -109,15 +109,15 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     elif not judged.reason and middle * kept.period_s >= SHORTEST_S:
         try:
             earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
-            halves = held_out(exiddm, earlier, later, found)
+            halves = held_out(motion_fit, earlier, later, found)
         except (EstimationError, ModelError) as error:
             unchecked = half_too_short(error)
-    corrections = _corrections(exiddm, corrected, kept.payload) | joints.in_stated_sigmas
+    corrections = _corrections(motion_fit, corrected, kept.payload) | joints.in_stated_sigmas
     bound = np.sqrt(np.diag(stated.payload.covariance))
     numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
-    together = round(exiddm.period_s / kept.period_s)
-    time_s = ticks.time_s[(together - 1) // 2 :: together][: exiddm.ticks]
-    left = by_axis(time_s, exiddm.residuals_by_tick(found.fit.x), exiddm.period_s)
+    together = round(motion_fit.period_s / kept.period_s)
+    time_s = ticks.time_s[(together - 1) // 2 :: together][: motion_fit.ticks]
+    left = by_axis(time_s, motion_fit.residuals_by_tick(found.fit.x), motion_fit.period_s)
     findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
     fit = CheckedFit(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
     return identified_of(kept, fit)
@@ -188,9 +188,9 @@ def _names(kept: Kept) -> tuple[str, ...]:
     return tuple(f"{name}_{kept.payload}" for name in BODY)
 
 
-def _corrections(exiddm: Exiddm, found: PayloadFit, payload: str) -> dict[str, float]:
+def _corrections(motion_fit: MotionFit, found: PayloadFit, payload: str) -> dict[str, float]:
     """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
-    stated = exiddm.layout.sigma
+    stated = motion_fit.layout.sigma
     return {
         name: float(x / sigma)
         for name, x, sigma in zip(found.names, found.fit.x, stated, strict=True)

@@ -18,14 +18,14 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_exiddm
+from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, RunAnswer
 from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
 from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
 from onboard.identification.standing import Level
@@ -51,7 +51,7 @@ class _Flown:
 
 
 class _Kit(NamedTuple):
-    online: ExiddmIdentifier
+    online: MotionIdentifier
     kept: Kept
 
 
@@ -65,7 +65,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     settings = vehicle.file.parabola
     if settings is None:
         raise config.ConfigError(f"{vehicle.label}: no section [parabola], which says what free flight is")
-    online, model = build_exiddm(vehicle, tracked=False)
+    online, model = build_free_flyer(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
@@ -83,14 +83,14 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
 
 
 def _flight(kit: _Kit, run: ParabolaRun) -> WholeFlight:
-    exiddm = kit.online.exiddm
+    ekf = kit.online.ekf
     segments = [Segment(kit.kept.ticks.part(part), held=True) for part in run.parts]
-    return WholeFlight(exiddm.predictor, exiddm.payload_sigma, segments)
+    return WholeFlight(ekf.predictor, ekf.payload_sigma, segments)
 
 
 def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
     """Fit and test every run by itself, the liveliest first: the others start from what it found."""
-    constants = np.zeros(len(kit.online.exiddm.predictor.names) - 3)
+    constants = np.zeros(len(kit.online.ekf.predictor.names) - 3)
     constants[0] = _GUESS_kg
     known = False
     for one in sorted(flown, key=lambda one: -_liveliness(one.flight)):

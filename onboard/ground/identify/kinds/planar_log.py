@@ -17,7 +17,7 @@ from onboard.estimation.smoothing import uncorrelated_s
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
-from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior, imu_prior_of
+from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior, imu_prior_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
@@ -79,16 +79,14 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         samples_per_tick(vehicle),
         roles_of(vehicle).imu.frame,
     )
-    links, _, payload_sigma = exiddm_prior(vehicle, model)
+    links, _, payload_sigma = free_flyer_prior(vehicle, model)
     refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
     ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
-    def build(some: Ticks, first: bool) -> air_bearing.TableExiddm:
+    def build(some: Ticks, first: bool) -> air_bearing.TableFit:
         prior, run = at_start if first and let_go else underway(at_start), some.flight(period_s, samples)
-        return air_bearing.air_bearing_exiddm(
-            model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior
-        )
+        return air_bearing.table_fit(model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior)
 
     def judge(found: PayloadFit, wider: float) -> BaseResult:
         return _drags(found, at_start.pucks, wider)

@@ -65,7 +65,7 @@ def answered(
         own = _PUBLISHED.get(section, {}) if published else {}
         found[section].append(_row(name, answer, value, section) | own)
     ours = vehicle is not None and vehicle.prediction not in (config.Prediction.ROWS, config.Prediction.PLANAR)
-    if published or ours:  # of ExIDDM, the standard parameters say the same as their body
+    if published or ours:  # of predictions, the standard parameters say the same as their body
         found["parameter"] = []
     return found
 

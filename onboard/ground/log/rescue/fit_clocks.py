@@ -21,7 +21,7 @@ from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.smoothing import smooth
-from onboard.identification.free_flyer.batch import Exiddm, PayloadFit
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit
 from onboard.identification.free_flyer.guesses import GUESSES
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import RecorderStream, ResyncError, align, candidates
@@ -77,7 +77,7 @@ class Rescued(NamedTuple):
         return self.found.misfit
 
 
-Build = Callable[[FlightSignals, ImuPrior], Exiddm]
+Build = Callable[[FlightSignals, ImuPrior], MotionFit]
 
 
 def coarse_clocks(vehicle: VehicleModel, recorded: RecordedPair, rate_limit: float) -> list[FittedClock]:

@@ -1,4 +1,4 @@
-"""Joints that give way, as unknowns of an ExIDDM: stiffness and damping of each, and its bend at the first tick.
+"""Joints that give way, as unknowns: stiffness and damping of each, and its bend at the first tick.
 
 Stiffness and damping are constants, known to the sigmas that the vehicle file states. Bend and rate of it change from
 tick to tick (:mod:`onboard.dynamics.compliance`); nothing is known of them where a window begins.

@@ -1,4 +1,4 @@
-"""Instruments besides the first IMU that the recursive ExIDDM predicts: further IMUs, load cells, a tracker.
+"""Instruments besides the first IMU that the filter predicts: further IMUs, load cells, a tracker.
 
 A load cell shows ``(1 + scale) (u - delay du/dt) + bias + drift t``, u its component of the wrench through its cut
 (:mod:`onboard.dynamics.cut_wrench`): the IMU's error model

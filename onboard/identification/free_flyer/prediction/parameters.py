@@ -1,4 +1,4 @@
-"""The unknowns of an ExIDDM: names, which of them are estimated, and their place in the parameter vector.
+"""The unknowns of a prediction: names, which of them are estimated, and their place in the parameter vector.
 
 Unknowns come in named blocks: the motion's state at the first tick (``start``), the payload's standard parameters
 (``payload``), deviations of other links from the drawing (``links``), further ones of a base (``drag``, ``tilt``), the

@@ -1,4 +1,4 @@
-"""Recursive non-linear ExIDDM: onboard estimate of a free-flyer's payload from joints and base IMU.
+"""Filter of predicted motion: onboard estimate of a free-flyer's payload from joints and base IMU.
 
 The same likelihood as :mod:`onboard.identification.free_flyer.batch`, processed in batches of ticks by an extended
 Kalman filter with all unknowns as its state: the base's rate, payload, IMU errors, uncertain links. Linearisation far
@@ -38,7 +38,7 @@ from onboard.regressor.signals import EncoderJump
 DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
 
 
-class RecursiveExiddm(Windowed):
+class MotionFilter(Windowed):
     """Recursive estimate of a payload; arguments and attributes as of :class:`Windowed`."""
 
     def settled(self) -> bool:

@@ -23,8 +23,8 @@ from onboard.dynamics.kinematics import link_motions
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.smoothing import SmoothingWindow
-from onboard.flight.estimate.problem.identification import build_exiddm, build_identifier
-from onboard.flight.estimate.problem.priors import exiddm_prior
+from onboard.flight.estimate.problem.identification import build_free_flyer, build_identifier
+from onboard.flight.estimate.problem.priors import free_flyer_prior
 from onboard.flight.estimate.readings.cyclic import cyclic_functions
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
@@ -35,7 +35,7 @@ from onboard.ground.before.foresee.foreseen import render
 from onboard.ground.before.foresee.plan import MotionNoise, MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import NewVehicle, make
-from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.standing import Level
 from onboard.regressor.rows import standing
@@ -122,19 +122,19 @@ def made(directory, *init, edits=(), scenario=SCENARIO):
 
 def by_batch(vehicle, plan, parked=None):
     """Names, and sigmas by the information of all ticks at once, of which ``parked`` does not move in any."""
-    identifier, model = build_exiddm(vehicle)
+    identifier, model = build_free_flyer(vehicle)
     q, dq, ddq = (np.array(part) for part in (plan.q, plan.dq, plan.ddq))
     for at in [k for k, joint in enumerate(model.joints) if joint.name == parked]:
         q[:, at], dq[:, at], ddq[:, at] = q[0, at], 0.0, 0.0
-    links, imu_prior, payload_sigma = exiddm_prior(vehicle, model)
+    links, imu_prior, payload_sigma = free_flyer_prior(vehicle, model)
     period_s, nothing = 1.0 / vehicle.file.estimation.row_rate_hz, np.zeros((len(q), 3))
     noise = [np.full(3, sigma / np.sqrt(10.0)) for sigma in (1.95e-3, 0.088)]
     signals = FlightSignals(period_s, q, dq, ddq, nothing, nothing, *noise, 10)
-    exiddm = free_exiddm(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
+    motion_fit = free_fit(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
     chi = model.chi.copy()
     chi[model.payload_columns()] = standard_of(plan.payload)
     base = predict_base_from_rate(link_motions(model, q, dq, ddq), period_s, chi, plan.rate_rad_s, ())
-    bound = exiddm.bound(exiddm.parameters(base.momentum[0], plan.payload))
+    bound = motion_fit.bound(motion_fit.parameters(base.momentum[0], plan.payload))
     return identifier.quantity_names, np.sqrt(np.diag(bound.covariance))
 
 
@@ -315,7 +315,7 @@ def test_the_command_says_what_is_left_and_fails_where_nothing_is(tmp_path, caps
 def test_cyclic_errors_of_a_plan_are_smoothed_as_in_flight():
     """Of a joint at a steady rate: the flight's kernel over its samples against its frequency response."""
     vehicle = config.load(config.packaged("dymaflex"))
-    _, model = build_exiddm(vehicle)
+    _, model = build_free_flyer(vehicle)
     role = next(joint for joint in roles_of(vehicle).joints if joint.joint == "joint_2")
     signal = roles_of(vehicle).signals[role.channel]
     width_s, rate_rad_s = vehicle.file.estimation.smoothing_ms * 1e-3, -0.13

@@ -214,7 +214,7 @@ class TestLimits:
         return own.step(round(1e9 * time_s), time_s, joints, np.array([rate, 0.0, 0.0]), online)
 
     def test_before_anything_is_known_the_motion_is_safe_with_every_payload(self, asking):
-        asking[1].exiddm.held = True
+        asking[1].ekf.held = True
         request, said = self.step(asking, 1.0)
         library = asking[0].library
         k = library.names.index(request.rows["segment"][0].decode())
@@ -225,7 +225,7 @@ class TestLimits:
 
     def test_while_nothing_is_known_to_be_held_a_small_motion_is_asked_for_from_time_to_time(self, asking):
         own, online = asking
-        online.exiddm.held = False
+        online.ekf.held = False
         made = {time_s: said for time_s in range(1, 120) if (said := self.step(asking, float(time_s)))}
         *probes, (last,) = made.values()
         assert [request.rows["act"][0] for request, _ in probes] == [Act.SEGMENT] * 5
@@ -235,39 +235,39 @@ class TestLimits:
         assert np.diff(list(made)).min() >= 10  # rests of probe_s, and what is played between
         assert next(iter(made)) == 11
         assert last.rows["code"][0] == b"goal_waits"
-        online.exiddm.held = True
-        online.exiddm.changes.append(Change("capture", 121.0, 121.0, np.nan))
+        online.ekf.held = True
+        online.ekf.changes.append(Change("capture", 121.0, 121.0, np.nan))
         again, _ = self.step(asking, 122.0)
         assert again.rows["act"][0] == Act.SEGMENT
 
     def test_a_rest_before_a_small_motion_counts_from_when_the_arm_stood_in_its_posture(self, asking):
-        asking[1].exiddm.held = False
+        asking[1].ekf.held = False
         assert [self.step(asking, time_s, moving=0.2) for time_s in (1.0, 20.0)] == [[], []]
         assert self.step(asking, 29.0) == []
         assert len(self.step(asking, 30.5)) == 2
 
     def test_probe_s_of_zero_moves_nothing(self, asking):
-        asking[1].exiddm.held, asking[0].probe_s = False, 0.0
+        asking[1].ekf.held, asking[0].probe_s = False, 0.0
         assert [self.step(asking, time_s) for time_s in (1.0, 60.0)] == [[], []]
 
     def test_a_release_while_a_segment_is_played_is_followed_by_nothing_and_a_capture_by_small_motions(self, asking):
         _, online = asking
-        online.exiddm.held = True
+        online.ekf.held = True
         first, _ = self.step(asking, 1.0)
-        online.exiddm.held = False
-        online.exiddm.changes.append(Change("ejection", 2.0, 2.0, np.nan))
+        online.ekf.held = False
+        online.ekf.changes.append(Change("ejection", 2.0, 2.0, np.nan))
         [said] = self.step(asking, 2.0, moving=0.2)
         assert said.rows["code"][0] == b"goal_waits"
         assert [self.step(asking, time_s) for time_s in (3.0, 60.0)] == [[], []]
-        online.exiddm.held = True
-        online.exiddm.changes.append(Change("capture", 61.0, 61.0, np.nan))
+        online.ekf.held = True
+        online.ekf.changes.append(Change("capture", 61.0, 61.0, np.nan))
         assert self.step(asking, 61.0, moving=0.2) == []  # the arm does not rest
         again, _ = self.step(asking, 62.0)
         assert again.rows["segment"][0] == first.rows["segment"][0]
         assert again.rows["ratio"][0] == first.rows["ratio"][0]  # all of what was known is gone
 
     def test_a_base_that_turns_too_fast_by_itself_is_left_alone_and_the_event_says_why(self, asking):
-        asking[1].exiddm.held = True
+        asking[1].ekf.held = True
         request, _, why = self.step(asking, 1.0, rate=1.19)
         assert request.rows["act"][0] == Act.GIVEN_UP
         assert "the base would turn at" in why.rows["text"][0].decode()
@@ -289,7 +289,7 @@ class TestLimits:
         rates = rng.uniform(0.0, 1.2, whole.base_rate.shape)
         own.library = replace(whole, excess=over, base_rate=rates, most=1.2)
         own.since_change, own.ratios = 0, []
-        known = own._known(asking[1].exiddm, asking[1].estimate(), turning)._replace(masses_kg=(low, low + wide))
+        known = own._known(asking[1].ekf, asking[1].estimate(), turning)._replace(masses_kg=(low, low + wide))
         request, *_ = own._ask(0, 0.0, known, 5.0, solved=False)
         own.library = whole
         first = max(int((whole.masses <= low).sum()) - 1, 0)  # the masses on both sides of all that it may weigh
@@ -306,11 +306,11 @@ class TestLimits:
         self, asking, monkeypatch, settled
     ):
         own, online = asking
-        exiddm = online.exiddm
-        exiddm.held, exiddm.covariance = True, own.prior.copy()
-        exiddm.state = np.zeros(len(own.prior))
-        exiddm.state[PAYLOAD] = [0.7, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]
-        monkeypatch.setattr(type(exiddm), "settled", lambda _: settled)
+        ekf = online.ekf
+        ekf.held, ekf.covariance = True, own.prior.copy()
+        ekf.state = np.zeros(len(own.prior))
+        ekf.state[PAYLOAD] = [0.7, 0.0, 0.0, 0.0, 1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]
+        monkeypatch.setattr(type(ekf), "settled", lambda _: settled)
         said = []
         for time_s in np.arange(1.0, 60.0):
             own.moved = True
@@ -321,21 +321,21 @@ class TestLimits:
     @pytest.mark.filterwarnings("error")
     def test_a_state_that_is_no_motion_is_not_linearised_about(self, asking):
         own, online = asking
-        exiddm = online.exiddm
-        exiddm.held, exiddm.covariance = True, own.prior.copy()
-        exiddm.state = np.zeros(len(own.prior))
-        exiddm.state[PAYLOAD] = [0.1, 90.0, 90.0, 90.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-9]
-        exiddm.state[RATE] = 1e6
+        ekf = online.ekf
+        ekf.held, ekf.covariance = True, own.prior.copy()
+        ekf.state = np.zeros(len(own.prior))
+        ekf.state[PAYLOAD] = [0.1, 90.0, 90.0, 90.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-9]
+        ekf.state[RATE] = 1e6
         assert len(self.step(asking, 1.0)) == 2
         assert own.own == [None] * len(own.own)
 
     def test_an_arm_that_does_not_move_is_noticed(self, asking):
-        asking[1].exiddm.held = True
+        asking[1].ekf.held = True
         acts = [made[0].rows["act"][0] for time_s in np.arange(1.0, 60.0) if (made := self.step(asking, time_s))]
         assert acts == [Act.SEGMENT] * 3 + [Act.GIVEN_UP]
 
     def test_an_arm_that_is_elsewhere_is_waited_for_and_then_given_up(self, asking):
-        asking[1].exiddm.held = True
+        asking[1].ekf.held = True
         acts = {
             time_s: made[0].rows["act"][0] for time_s in range(1, 80) if (made := self.step(asking, time_s, 0.0, 0.2))
         }

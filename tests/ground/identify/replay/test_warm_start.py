@@ -14,7 +14,7 @@ from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.identify.replay.warm_start import go_on
 from onboard.ground.log.tables.vehicle_file import vehicle_of
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.standing import Level
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -165,23 +165,23 @@ def test_a_free_flyer_knows_its_payload_again(tmp_path: Path, rng: np.random.Gen
     went_on, flown_again = go_on(dymaflex(held_at_start=False), earlier), twin(3.0, seed=8)
     log = free_flight(tmp_path / "two.mcap", flown_again, rng)
     estimator, _ = said_of(went_on, log, tmp_path / "again.mcap")
-    assert isinstance(estimator.online, ExiddmIdentifier)
-    exiddm = estimator.online.exiddm
-    assert exiddm.held
-    found = exiddm.estimate()
+    assert isinstance(estimator.online, MotionIdentifier)
+    ekf = estimator.online.ekf
+    assert ekf.held
+    found = ekf.estimate()
     assert found is not None
     sigma = np.sqrt(found.covariance[0, 0])
     assert abs(found.body.mass_kg - PAYLOAD.mass_kg) < 4.0 * sigma
     alone, _ = said_of(dymaflex(), log, tmp_path / "alone.mcap")
-    assert isinstance(alone.online, ExiddmIdentifier)
-    anew = alone.online.exiddm.estimate()
+    assert isinstance(alone.online, MotionIdentifier)
+    anew = alone.online.ekf.estimate()
     assert anew is None or sigma < np.sqrt(anew.covariance[0, 0])
     other = free_flyer.Body.box(1.5, (0.1, 0.1, 0.2), (0.0, 0.02, 0.1))
     flight = free_flyer.fly(free_flyer.world(other), flown_again.motion, (0.03, -0.02, 0.04), 3.0)
     log = free_flight(tmp_path / "other.mcap", flown_again._replace(flight=flight), rng)
     estimator, _ = said_of(went_on, log, tmp_path / "said_other.mcap")
-    assert isinstance(estimator.online, ExiddmIdentifier)
-    found = estimator.online.exiddm.estimate()  # it may take more than these seconds; the old answer it is never
+    assert isinstance(estimator.online, MotionIdentifier)
+    found = estimator.online.ekf.estimate()  # it may take more than these seconds; the old answer it is never
     assert found is None or abs(found.body.mass_kg - 1.5) < 4.0 * np.sqrt(found.covariance[0, 0])
     with LogWriter.create(tmp_path / "empty.mcap", durable=False) as writer:
         for name in ("estimate", "quantity"):

@@ -7,8 +7,8 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_exiddm, build_online
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.flight.estimate.problem.identification import build_free_flyer, build_online
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from onboard.identification.standing import Level, standing
@@ -36,14 +36,14 @@ def flight_of(springy, off, *, stated=True):
         SpringPrior(one.stiffness_N_m_rad * (1.0 + by), 0.1, None, 1.0) for one, by in zip(springs, off, strict=True)
     ]
     joints = {f"joint_{k}": JointPrior(spring=one if stated else None) for k, one in enumerate(told, 1)}
-    return ExiddmIdentifier(online(signals, geometry=GeometryPrior(joints=joints))), ticks_of(signals)
+    return MotionIdentifier(online(signals, geometry=GeometryPrior(joints=joints))), ticks_of(signals)
 
 
 def answer(identifier, ticks):
-    exiddm = identifier.exiddm
+    ekf = identifier.ekf
     for first in range(0, len(ticks.time_s), 10):
-        exiddm.update(ticks.part(slice(first, first + 10)))
-    exiddm.finish()
+        ekf.update(ticks.part(slice(first, first + 10)))
+    ekf.finish()
     return {one.name: one for one in identifier.estimate().quantities}
 
 
@@ -58,7 +58,7 @@ def test_the_stiffness_is_stated_within_its_sigma(springy):
         assert standing(found[name], identifier.findings()).level is Level.GOOD
         assert abs(found[name].mean - value) < 3.29 * found[name].sigma, name
     assert found["m_payload"].sigma < 0.05
-    predictor, state = identifier.exiddm.predictor, identifier.exiddm.state
+    predictor, state = identifier.ekf.predictor, identifier.ekf.state
     at = [k for k, name in enumerate(predictor.names) if name.startswith("stiffness_")]
     assert np.abs((1.0 + OFF) * (1.0 + state[at]) - 1.0).max() < 0.03  # it was known to 0.1
 
@@ -75,12 +75,12 @@ def test_a_stiffness_that_is_missing_or_wrong_is_the_reason(springy, off, stated
 
 def test_a_checkpoint_goes_on_to_the_same_bits(springy):
     identifier, ticks = flight_of(springy, OFF)
-    identifier.exiddm.update(ticks.part(slice(0, 330)))
-    copy = pickle.loads(pickle.dumps(identifier.exiddm))
-    assert identifier.exiddm.state is not None
-    for one in (identifier.exiddm, copy):
+    identifier.ekf.update(ticks.part(slice(0, 330)))
+    copy = pickle.loads(pickle.dumps(identifier.ekf))
+    assert identifier.ekf.state is not None
+    for one in (identifier.ekf, copy):
         one.update(ticks.part(slice(330, 400)))
-    assert same_bits(identifier.exiddm, copy)
+    assert same_bits(identifier.ekf, copy)
 
 
 def vehicle_with(name, **joint_1):
@@ -93,10 +93,10 @@ def vehicle_with(name, **joint_1):
 
 
 def test_a_joint_of_a_vehicle_file():
-    stiff = build_exiddm(config.load(config.packaged("dymaflex")))[0].exiddm.predictor
+    stiff = build_free_flyer(config.load(config.packaged("dymaflex")))[0].ekf.predictor
     assert not stiff.bends.size
     given = {"stiffness_N_m_rad": 2000.0, "stiffness_relative": 0.2, "damping_N_m_s_rad": 3.0, "damping_relative": 0.3}
-    predictor = build_exiddm(vehicle_with("dymaflex", **given))[0].exiddm.predictor
+    predictor = build_free_flyer(vehicle_with("dymaflex", **given))[0].ekf.predictor
     own = ["stiffness_joint_1", "damping_joint_1", "bend_joint_1", "bend_rate_joint_1"]
     assert sorted(set(predictor.names) - set(stiff.names)) == sorted(own)
     sigma = dict(zip(predictor.names, predictor.sigma, strict=True))
@@ -122,7 +122,7 @@ def test_a_stiffness_that_has_no_meaning_is_refused(name, keys, message):
 
 def test_the_noise_of_the_joints_drives_the_bends(springy):
     identifier, ticks = flight_of(springy, OFF)
-    predictor, some = identifier.exiddm.predictor, ticks.part(slice(0, 12))
+    predictor, some = identifier.ekf.predictor, ticks.part(slice(0, 12))
     state = np.zeros(len(predictor.names))
     state[PAYLOAD] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
     found, known = predictor.predict(some.q, some.dq, some.ddq, state), np.eye(len(state))

@@ -7,7 +7,7 @@ from onboard import config
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.tracked_pose import left, product, quaternion_of, right, rotation
 from onboard.flight.estimate.problem.identification import build_model
-from onboard.flight.estimate.problem.priors import exiddm_prior, geometry_prior
+from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.free_flyer.fusion import Fusion
 from onboard.identification.free_flyer.guesses import first_pose
 from onboard.identification.free_flyer.prediction.further import FurtherPose, PosePrior
@@ -23,7 +23,7 @@ PAYLOAD_CHI = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
 def predictor_of(*further):
     vehicle = config.load(config.packaged("dymaflex"))
     model = build_model(vehicle)
-    covariance, prior, _ = exiddm_prior(vehicle, model)
+    covariance, prior, _ = free_flyer_prior(vehicle, model)
     return ImuPredictor(model, "imu_base", PERIOD_s, 10, covariance, prior, geometry_prior(vehicle, model), further)
 
 

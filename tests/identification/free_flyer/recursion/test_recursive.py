@@ -8,7 +8,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
-from onboard.identification.free_flyer.free_base import free_exiddm
+from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
@@ -21,7 +21,7 @@ def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
     recursive = online(held)
     recursive.update(ticks_of(held))
     np.testing.assert_array_equal(recursive.covariance, recursive.covariance.T)  # no rounding adds up over steps
-    whole = free_exiddm(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
+    whole = free_fit(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
     found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.chi_covariance))
     a_fifth_of_a_sigma = 0.2
     assert np.abs(recursive.state[PAYLOAD] - whole.chi).max() < a_fifth_of_a_sigma * sigma.max()
@@ -225,16 +225,16 @@ def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch
 
 
 def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
-    exiddm = online(held)
-    state = np.arange(len(exiddm.covariance), dtype=float)
-    exiddm.covariance = np.diag(1.0 + state)
-    assert exiddm.corrected(state) is state
+    ekf = online(held)
+    state = np.arange(len(ekf.covariance), dtype=float)
+    ekf.covariance = np.diag(1.0 + state)
+    assert ekf.corrected(state) is state
     gradient, nothing = np.where(state == PAYLOAD.start, 2.0, 0.0), np.zeros((len(state), len(state)))
-    exiddm.noise_added = NoiseAdded(gradient, nothing)
-    corrected = exiddm.corrected(state)
-    np.testing.assert_array_equal(corrected - state, exiddm.covariance @ gradient)
-    assert exiddm.corrected(state) is corrected  # what is weighed by it is weighed once
-    exiddm.noise_added = NoiseAdded(2.0 * gradient, nothing)
-    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ (2.0 * gradient))
-    exiddm.covariance = 3.0 * exiddm.covariance  # a window's covariance is replaced beside the same state
-    np.testing.assert_array_equal(exiddm.corrected(state) - state, exiddm.covariance @ (2.0 * gradient))
+    ekf.noise_added = NoiseAdded(gradient, nothing)
+    corrected = ekf.corrected(state)
+    np.testing.assert_array_equal(corrected - state, ekf.covariance @ gradient)
+    assert ekf.corrected(state) is corrected  # what is weighed by it is weighed once
+    ekf.noise_added = NoiseAdded(2.0 * gradient, nothing)
+    np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))
+    ekf.covariance = 3.0 * ekf.covariance  # a window's covariance is replaced beside the same state
+    np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))

@@ -8,7 +8,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.identification.evidence.bank import Weighed
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.recursion.snapshots import Before
 from onboard.identification.quantities import Findings
@@ -97,7 +97,7 @@ def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
     assert recursive.exchanged or recursive.estimate() is None
     wary = online(held)
     wary.update(ticks)
-    identifier = ExiddmIdentifier(wary)
+    identifier = MotionIdentifier(wary)
     assert identifier.findings() == Findings()
     wary.exchanged = True
     assert "without a release" in identifier.findings().against[0]

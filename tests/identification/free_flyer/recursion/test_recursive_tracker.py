@@ -13,7 +13,7 @@ from onboard.identification.free_flyer.prediction.further import FurtherPose, Po
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
-from onboard.identification.free_flyer.recursion.recursive import RecursiveExiddm
+from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
 from onboard.identification.free_flyer.recursion.window import HeldPayload
 from tests.dynamics.free_flyer_twin import BOX
@@ -71,7 +71,7 @@ def with_a_frozen_tracker(signals, seed=1, held=False):
     poses += noise * rng.standard_normal((n, LINES))
     measured = np.hstack([ticks.measured, poses])
     sigma = np.hstack([ticks.sigma, noise])
-    return ticks._replace(measured=measured, sigma=sigma), RecursiveExiddm(predictor, WIDE, held), bare
+    return ticks._replace(measured=measured, sigma=sigma), MotionFilter(predictor, WIDE, held), bare
 
 
 def test_it_is_named_and_nothing_that_it_told_is_kept(caught):

@@ -8,7 +8,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.flight.estimate.state import UnwrittenParts, from_bytes, to_bytes
-from onboard.identification.free_flyer.online import ExiddmIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.identification.free_flyer.recursion.bounded_work import WORK
@@ -100,14 +100,14 @@ def test_a_flight_that_ends_leaves_to_be_solved_what_takes_too_long_and_says_so(
         recursive.update(ticks.part(slice(first, first + BATCH_TICKS)))
     recursive.take(ticks.part(slice(90, 100)))
     assert recursive.solving
-    copies = [ExiddmIdentifier(pickle.loads(pickle.dumps(recursive))) for _ in range(2)]
+    copies = [MotionIdentifier(pickle.loads(pickle.dumps(recursive))) for _ in range(2)]
     copies[0].finish()
     assert not copies[0].findings().against
     monkeypatch.setattr("onboard.identification.free_flyer.online.last_work", lambda joints: 0)  # more than is due
     copies[1].finish()
-    assert copies[1].exiddm.solving
+    assert copies[1].ekf.solving
     assert "take too long" in copies[1].findings().against[0]
-    copies[1].exiddm.state, copies[1].exiddm.held = copies[0].exiddm.state, True  # of an earlier window
+    copies[1].ekf.state, copies[1].ekf.held = copies[0].ekf.state, True  # of an earlier window
     assert any("take too long" in one for one in copies[1].findings().doubts)
 
 
