@@ -9,7 +9,7 @@ of their mean is at most half their difference, plus the device's filter delay.
 """
 
 from abc import abstractmethod
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -240,11 +240,12 @@ class PolledDevice(SerialDevice):
 
     def _name_gap(self, now_ns: int, channel: str) -> None:
         """Record as a gap what a channel lacks."""
-        following, last_ns, cause, counted = astuple(self._untold[channel])
-        if following < self._next:
-            elapsed_ns = 0 if last_ns is None else now_ns - last_ns
-            self._report.gap(now_ns, channel, following, self._next - 1, elapsed_ns, cause, counted=counted)
-            self._untold[channel] = _Channel(self._next, last_ns)
+        lacks = self._untold[channel]
+        if lacks.following < self._next:
+            elapsed_ns = 0 if lacks.last_ns is None else now_ns - lacks.last_ns
+            its = channel, lacks.following, self._next - 1, elapsed_ns, lacks.cause
+            self._report.gap(now_ns, *its, counted=lacks.counted)
+            self._untold[channel] = _Channel(self._next, lacks.last_ns)
 
     def _finish(self, now_ns: int) -> None:
         is_open = self._asked_ns is not None and not self._is_aside  # nobody knows whether its sample was made

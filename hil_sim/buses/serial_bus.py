@@ -101,7 +101,9 @@ class _Wire(SerialWire):
     def _transmit(self, data: bytes, ready_ns: int) -> int:
         end_ns = super()._transmit(data, ready_ns)
         length = self._sample_length(data)
-        if length:
+        if length == len(data):
+            self._ends_ns.append(end_ns)
+        elif length:
             character_ns = self._device.line.character_ns
             self._ends_ns.append(end_ns - round(len(data) * character_ns) + round(length * character_ns))
         self._said.append((self, data, end_ns))

@@ -56,7 +56,7 @@ class PoweredTwin:
     def act(self, until_ns: int) -> None:
         """Do, in order, everything that is due at ``until_ns``."""
         while self.due_ns <= until_ns:
-            name = min(self._timers, key=lambda key: self._timers[key][0])
+            name = next(name for name, timer in self._timers.items() if timer[0] == self.due_ns)
             due_ns, action = self._timers.pop(name)
             self._refresh()
             self._acts(name)

@@ -169,7 +169,7 @@ class ModbusLoadCellTwin(SerialTwin):
         self._recent: deque[float] = deque(maxlen=_STABLE_CONVERSIONS)
         self._frame = bytearray()
         self._frame_void = False
-        self._last_byte_ns = 0
+        self._last_byte_ns = self._frame_end_ns = 0
 
     def _boot(self, now_ns: int) -> None:
         del now_ns
@@ -193,21 +193,25 @@ class ModbusLoadCellTwin(SerialTwin):
             return
         character_ns = self.line.character_ns
         fast = self.line.baud_rate > _FAST_BAUD_RATE
-        if self._frame and now_ns - self._last_byte_ns > character_ns + (750_000 if fast else 1.5 * character_ns):
+        self._frame_end_ns = now_ns + (1_750_000 if fast else round(3.5 * character_ns))
+        if not self._frame:
+            self._at("silence", self._frame_end_ns, self._end_of_frame)
+        elif now_ns - self._last_byte_ns > character_ns + (750_000 if fast else 1.5 * character_ns):
             self._frame_void = True
         self._last_byte_ns = now_ns
         self._frame.append(byte)
-        self._at("silence", now_ns + (1_750_000 if fast else round(3.5 * character_ns)), self._end_of_frame)
 
     def _end_of_frame(self, now_ns: int) -> None:
+        if now_ns < self._frame_end_ns:  # bytes came after the first
+            return self._at("silence", self._frame_end_ns, self._end_of_frame)
         frame, void = bytes(self._frame), self._frame_void
         self._frame.clear()
         self._frame_void = False
         if void or not 4 <= len(frame) <= _LONGEST_FRAME or crc16(frame[:-2]) != frame[-2:]:
             self.bad_frames += 1
-            return
+            return None
         if frame[0] not in (0, self._station):
-            return
+            return None
         self._convert(now_ns)
         function = frame[1]
         try:
@@ -218,6 +222,7 @@ class ModbusLoadCellTwin(SerialTwin):
         if frame[0]:
             reply = bytes([self._station, function]) + answer
             self._send(reply + crc16(reply), self._late(now_ns + self._reply_ns))
+        return None
 
     def _obey(self, function: int, body: bytes) -> bytes:
         if function not in (_READ, _WRITE):

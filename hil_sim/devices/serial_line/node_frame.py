@@ -6,6 +6,7 @@ sync line latches it by input capture. A frame that finds the UART's queue full 
 """
 # ruff: noqa: N815 - field names are the file's keys, and a key ends in its SI symbol
 
+import binascii
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,6 @@ _DATA, _DESCRIPTOR = 0x10, 0x11
 _SATURATED: Final = 0x02  # status
 _FULL_BLOCK: Final = 254
 _MOST_CHANNELS: Final = 65
-_CRC_POLYNOMIAL: Final = 0x1021
 _WIDTH_32: Final = 1 << 32
 _SECOND_NS: Final = 1_000_000_000
 _MEASURABLE: Final[tuple[MeasuredQuantity, ...]] = ("joint_angle", *FORCES, "servo_torque", "phase")
@@ -49,7 +49,7 @@ class ValueType(IntEnum):
     I64 = 6
 
 
-_BITS: Final = {0: 8, 1: 8, 2: 16, 3: 16, 4: 32, 5: 32, 6: 64}
+_BITS: Final = (8, 8, 16, 16, 32, 32, 64)
 _SIGNED: Final = (ValueType.I8, ValueType.I16, ValueType.I32, ValueType.I64)
 
 
@@ -77,26 +77,15 @@ class NodeChannel(NamedTuple):
 
 def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE."""
-    crc = 0xFFFF
-    for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC_OF[crc >> 8 ^ byte]
-    return crc
-
-
-def _divided(crc: int) -> int:
-    """What eight bits leave, shifted out on the left."""
-    for _ in range(8):
-        crc = (crc << 1 ^ _CRC_POLYNOMIAL if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
-
-
-_CRC_OF: Final = tuple(_divided(byte << 8) for byte in range(256))
+    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def stuff(data: bytes) -> bytes:
     """Consistent overhead byte stuffing (Cheshire and Baker, 1999), without the delimiter."""
-    out = bytearray()
     blocks = data.split(b"\0")
+    if len(data) < _FULL_BLOCK:
+        return b"".join([bytes([len(block) + 1]) + block for block in blocks])
+    out = bytearray()
     for number, block in enumerate(blocks, 1):
         full, rest = divmod(len(block), _FULL_BLOCK)
         for k in range(full):
@@ -229,9 +218,9 @@ class FrameNode(SerialTwin):
 
     def _sample(self, now_ns: int) -> None:
         self._see_pulses(now_ns)
-        status, values = 0, b""
+        status, values, time_s = 0, b"", self._seconds(now_ns)
         for channel, analog in zip(self._channels, self._inputs, strict=True):
-            packed, clipped = _pack(channel, analog.value(self._seconds(now_ns)))
+            packed, clipped = _pack(channel, analog.value(time_s))
             values += packed
             status |= _SATURATED if clipped else 0
         head = struct.pack(

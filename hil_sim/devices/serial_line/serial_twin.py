@@ -52,7 +52,7 @@ class SerialTwin(PoweredTwin):
 
     def receive(self, byte: int, now_ns: int) -> None:
         """A character has ended."""
-        if self.powered and not self._is_silent(now_ns):
+        if self.powered and not (self._is_faulty and self._is_silent(now_ns)):
             self._on_byte(byte, now_ns)
 
     def restart(self, now_ns: int) -> None:
@@ -72,7 +72,7 @@ class SerialTwin(PoweredTwin):
         """Send; returns when the last bit ends. With an open connector nothing arrives."""
         if self._transmit is None or self._is_silent(ready_ns):
             return ready_ns + round(len(data) * self.line.character_ns)
-        if self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:
+        if self._is_faulty and self._faults.active(FaultKind.GARBAGE, ready_ns) is not None:
             data = garbled(data, self._garbage)
         return self._transmit(data, ready_ns)
 

@@ -44,20 +44,20 @@ class PhaseTrack:
 
     def update(self, batches: Mapping[str, Rows]) -> list[str]:
         """Process the rows of a step, except NOT_VALID ones; returns a line of text for each change."""
-        rows = batches.get(self._settings.channel) if self._settings else None
-        said = []
-        for row in rows if rows is not None else ():
-            if row["status"] & SampleStatus.NOT_VALID:
-                continue
-            code = int(row["value_raw"])
+        settings, said = self._settings, list[str]()
+        rows = batches.get(settings.channel) if settings else None
+        if settings is None or rows is None:
+            return said
+        rows = rows[rows["status"] & SampleStatus.NOT_VALID == 0]
+        for code, host_ns in zip(rows["value_raw"].tolist(), rows["host_ns"].tolist(), strict=True):
             if not self._codes or code != self._codes[-1]:
-                self._times_ns.append(int(row["host_ns"]))
+                self._times_ns.append(host_ns)
                 self._codes.append(code)
                 said.append(f"phase {code}")
-            elif self._settings and code == self._settings.payload_gone:
+            elif code == settings.payload_gone:
                 if self._times_ns[-1] not in self._gone_ns:
                     self._gone_ns.append(self._times_ns[-1])
-            elif self._settings and code == self._settings.payload_taken and self._taken_ns is None:
+            elif code == settings.payload_taken and self._taken_ns is None:
                 self._taken_ns = self._times_ns[-1]
         return said
 

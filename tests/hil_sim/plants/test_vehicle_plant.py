@@ -58,6 +58,13 @@ def grip(flown):
     return R_WB.T @ R_WG
 
 
+def test_mujoco_does_not_time_the_parts_of_its_steps(motion):
+    model = flight(motion).vehicle.model
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 100)
+    assert [timer.duration for timer in data.timer] == [0.0] * len(data.timer)
+
+
 def test_what_was_caught_can_be_let_go_again(motion):
     """Let go without a push it leaves no trace: the momentum that remains is that of the vehicle alone."""
     ours = flight(motion, held=BOX)
