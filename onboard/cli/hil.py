@@ -104,7 +104,7 @@ def held_otherwise(vehicle: "config.Vehicle", scenario: Any) -> Iterator[str]:
     if scenario.payload is None or vehicle.file.parabola is not None:
         return
     taken = estimation.phases.payload_taken if estimation.phases is not None else None
-    from_start = estimation.method != "exiddm" or estimation.exiddm.held_at_start
+    from_start = not estimation.predicts or estimation.exiddm.held_at_start
     if taken is not None:
         if caught is None or caught.phase != taken or all(step.phase != taken for step in scenario.sequence):
             yield (
@@ -112,7 +112,7 @@ def held_otherwise(vehicle: "config.Vehicle", scenario: Any) -> Iterator[str]:
                 f"for held: give a [[sequence]] with phase = {taken}, and [capture] phase = {taken}"
             )
     elif from_start and caught is not None:
-        key = "exiddm] held_at_start = false" if estimation.method == "exiddm" else "phases] payload_taken"
+        key = "exiddm] held_at_start = false" if estimation.predicts else "phases] payload_taken"
         yield (
             "the scenario catches the payload in flight, and the vehicle file takes it for held from the start: expect "
             f"a wrong answer; state [estimation.{key}, or capture = false in the scenario"

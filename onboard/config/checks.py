@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.errors import DriverError
 from drivers.transports import url
-from onboard.config.bases.prediction import Prediction
 from onboard.config.errors import ConfigError
+from onboard.config.methods import PREDICTING, Prediction, method_of
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
 from onboard.dynamics.model.bases import BASES
@@ -165,14 +165,15 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     _check_pivot(vehicle, fail)
     _check_body(vehicle, fail)
     _check_parabola(vehicle, fail)
-    if file.estimation.method == "exiddm":
-        _check_free_flyer(vehicle, fail)
-    if file.estimation.method == "instrumental":
+    method = method_of(file.estimation.method)
+    if method.predicts:
+        _check_predicted(vehicle, fail)
+    if method.falling:
         where = ["estimation", "method"]
         if not file.vehicle.base_kind.falls:
-            fail(where, f'the base is {file.vehicle.base!r}; method "instrumental" is for base = "free"')
+            fail(where, f'the base is {file.vehicle.base!r}; method "{method.name}" is for base = "free"')
         if set(file.estimation.base_rows) != {"force", "moment"}:
-            fail(where, 'method "instrumental" needs base_rows = ["force", "moment"]')
+            fail(where, f'method "{method.name}" needs base_rows = ["force", "moment"]')
     for index, load in enumerate(file.free_body.load if file.free_body else ()):
         if load.role == "proof" and load.truth_kg_m2 is None:
             fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")
@@ -249,14 +250,14 @@ def _check_telemetry(vehicle: Vehicle, fail: Fail) -> None:
             fail(["telemetry", f"{kind}_apid"], f"APID {apid} is that of {taken[apid]} packets too; give it another")
 
 
-def _check_free_flyer(vehicle: Vehicle, fail: Fail) -> None:
+def _check_predicted(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     where = ["estimation", "method"]
     if file.vehicle.base not in {*Prediction}:
         known = " or ".join(f'"{kind}"' for kind in BASES if kind in {*Prediction})
-        fail(where, f'the base is {file.vehicle.base!r}; method "exiddm" is for base = {known}')
+        fail(where, f'the base is {file.vehicle.base!r}; method "{PREDICTING.name}" is for base = {known}')
     if file.vehicle.payload_link is None and file.vehicle.base != "pivot" and file.body is None:
-        fail(where, 'method "exiddm" estimates the payload; name its payload_link')
+        fail(where, f'method "{PREDICTING.name}" estimates the payload; name its payload_link')
     others = {
         "base_rows": settings.base_rows,
         "masses": settings.masses,
@@ -270,15 +271,15 @@ def _check_free_flyer(vehicle: Vehicle, fail: Fail) -> None:
     if settings.phases and settings.phases.payload_taken is not None and settings.exiddm.held_at_start:
         fail(["estimation", "phases", "payload_taken"], "nothing is held before it; give exiddm.held_at_start = false")
     if file.free_body:
-        fail(["free_body"], 'a free body is identified from rows; remove method = "exiddm"')
+        fail(["free_body"], f'a free body is identified from rows; remove method = "{PREDICTING.name}"')
 
 
 def _check_parabola(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.parabola is None:
         return
-    if settings.method != "exiddm":
-        fail(["parabola"], 'runs between hands are estimated with method = "exiddm"')
+    if not settings.predicts:
+        fail(["parabola"], f'runs between hands are estimated with method = "{PREDICTING.name}"')
     if settings.carried:
         fail(["estimation", "carried"], "the runs of a flight are estimated together afterwards; remove carried")
     if not settings.exiddm.held_at_start:
@@ -289,8 +290,8 @@ def _check_pivot(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.vehicle.base != "pivot":
         return
-    if settings.method != "exiddm":
-        fail(["estimation", "method"], 'base = "pivot" is predicted: it needs method = "exiddm"')
+    if not settings.predicts:
+        fail(["estimation", "method"], f'base = "pivot" is predicted: it needs method = "{PREDICTING.name}"')
     if not settings.imu_prior.gyro_bias_rad_s:
         where = ["estimation", "imu_prior", "gyro_bias_rad_s"]
         fail(
@@ -322,15 +323,15 @@ def _check_planar(vehicle: Vehicle, fail: Fail) -> None:
     file, settings = vehicle.file, vehicle.file.estimation
     if file.vehicle.base != "planar":
         return
-    if settings.method != "exiddm":
-        fail(["estimation", "method"], 'rows have no drag model: base = "planar" needs method = "exiddm"')
+    if not settings.predicts:
+        fail(["estimation", "method"], f'rows have no drag model: base = "planar" needs method = "{PREDICTING.name}"')
     if file.planar is None and file.body is None:
         fail(["vehicle", "base"], 'base = "planar" needs a section: [planar] with an arm, [body] without; add it')
     if settings.carried:
         fail(["estimation", "carried"], "a run on a table is estimated in a single batch; remove carried")
     if settings.gates.joint_rate_min_rad_s:
         where = ["estimation", "gates", "joint_rate_min_rad_s"]
-        fail(where, "joint_rate_min_rad_s does not apply to method exiddm; remove it")
+        fail(where, "joint_rate_min_rad_s does not apply to a predicted base; remove it")
     if not settings.exiddm.held_at_start and (settings.phases is None or settings.phases.payload_taken is None):
         where = ["estimation", "exiddm", "held_at_start"]
         fail(where, "captures on a table are not detected; give phases.payload_taken, or remove held_at_start")

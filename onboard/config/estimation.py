@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
+from onboard.config.methods import method_of
 from onboard.section import NotNegative, Positive, Section
 
 LAG_MS, LAG_OF_WIDTH = 200.0, 0.75  # of rows where none is stated: half of the kernel, and what channels come late
@@ -288,6 +289,11 @@ class Estimation(Section):
     imu_prior: ImuPriorKeys = Field(
         default_factory=ImuPriorKeys.model_construct, validation_alias=AliasChoices("imu_prior", "doubt")
     )
+
+    @property
+    def predicts(self) -> bool:
+        """Whether its method predicts what the base's instruments show, and has no rows."""
+        return method_of(self.method).predicts
 
     @model_validator(mode="before")
     @classmethod

@@ -14,11 +14,11 @@ from onboard.config.bases.free_body import FreeBody
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Pivot
 from onboard.config.bases.planar import Body, Planar
-from onboard.config.bases.prediction import Prediction
 from onboard.config.drive import Drive
 from onboard.config.driving import Played, player_of
 from onboard.config.errors import Origin
 from onboard.config.estimation import Estimation
+from onboard.config.methods import Prediction
 from onboard.config.mission import MissionKeys
 from onboard.config.segments import Library
 from onboard.config.segments import read as read_segments
@@ -179,7 +179,7 @@ class Vehicle(BaseModel):
     def prediction(self) -> Prediction:
         """By what its flights are estimated."""
         file = self.file
-        if file.estimation.method != "exiddm":
+        if not file.estimation.predicts:
             return Prediction.ROWS
         if file.body is not None:
             return Prediction.BODY

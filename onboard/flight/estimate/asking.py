@@ -15,6 +15,7 @@ import numpy as np
 from drivers.records import Batch, Severity, event
 from onboard import channels, config
 from onboard.channels import Act
+from onboard.config.methods import OF_A_FREE_BASE
 from onboard.config.mission import Goal, goals_of
 from onboard.config.segments import Library
 from onboard.dynamics.model.errors import SignalError
@@ -70,7 +71,7 @@ class Asking:
         mission = vehicle.file.mission
         assert mission is not None
         if not isinstance(online, MotionIdentifier):
-            raise config.ConfigError(f'{vehicle.label}: [mission] needs method = "exiddm" and a base that is free')
+            raise config.ConfigError(f"{vehicle.label}: [mission] needs {OF_A_FREE_BASE}")
         predictor = online.ekf.predictor
         if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
             text = "segments were made for another vehicle file: make them again with heft plan --segments"

@@ -11,7 +11,6 @@ from onboard.ground.calibrate.result import KeyChange, two_digits
 from onboard.ground.calibrate.vehicle_file import edited
 from onboard.ground.identify.identify import urdf
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 
 VEHICLE = "vehicle.toml"
 
@@ -23,7 +22,7 @@ def require_fittable(vehicle: config.Vehicle, directory: Path) -> None:
         ValueError: this kind of vehicle states its links otherwise, or there is a vehicle file already.
     """
     settings = vehicle.file.estimation
-    if vehicle.file.free_body is not None or settings.method == EXIDDM:
+    if vehicle.file.free_body is not None or settings.predicts:
         raise ValueError("--fit-drawing: links of an arm are identified by rows alone; here it is a body")
     if settings.masses is not None:
         raise ValueError("--fit-drawing: [estimation.masses] come from the drawing, and do not change it")

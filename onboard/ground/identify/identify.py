@@ -27,7 +27,6 @@ from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
-from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
@@ -112,7 +111,7 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
     settings = vehicle.file.estimation.model_copy(update={"method": method})
     other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
     check(other)
-    if method != EXIDDM and not (settings.base_rows or roles_of(other).cells):
+    if not settings.predicts and not (settings.base_rows or roles_of(other).cells):
         raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")
     return other
 

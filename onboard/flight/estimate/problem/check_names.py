@@ -1,5 +1,6 @@
 """Checks of the devices against the URDF that every estimator makes."""
 
+from onboard.config.methods import OF_A_FREE_BASE
 from onboard.devices.roles import Roles
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -26,5 +27,5 @@ def check_thrusters(roles: Roles) -> None:
     """
     if roles.thrusters:
         named = ", ".join(thruster.name for thruster in roles.thrusters)
-        text = f'the forces of {named} are known to the method "exiddm" of a free base alone'
+        text = f"the forces of {named} are known to {OF_A_FREE_BASE} alone"
         raise UrdfError(f"{text}; use it, or record them by the kind canopen_object")

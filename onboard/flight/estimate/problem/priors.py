@@ -6,6 +6,7 @@ from math import hypot
 import numpy as np
 
 from onboard import config
+from onboard.config.methods import OF_A_FREE_BASE
 from onboard.devices.roles import Roles
 from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.payload import standard_covariance
@@ -167,5 +168,5 @@ def check_springs(vehicle: config.Vehicle, why: str) -> None:
     """
     flexible = [name for name, own in vehicle.file.estimation.prior.joint.items() if own.stiffness_N_m_rad is not None]
     if flexible:
-        text = f"prior.joint.{flexible[0]}.stiffness_N_m_rad: flexible joints are known to"
-        raise UrdfError(f'{text} the method "exiddm" of a free base alone, {why}; take it out')
+        text = f"prior.joint.{flexible[0]}.stiffness_N_m_rad: flexible joints are known to {OF_A_FREE_BASE} alone"
+        raise UrdfError(f"{text}, {why}; take it out")

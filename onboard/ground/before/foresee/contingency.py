@@ -21,7 +21,6 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.kept import kept
 from onboard.ground.before.foresee.plan import UNDETERMINED, Expected, Foreseen, MotionPlan
-from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.identification.standing import Level
 
 PULSE, CELL = "pulse", "cell"
@@ -189,7 +188,7 @@ def _require_measured(vehicle: config.Vehicle) -> None:
     """
     base, roles, settings = vehicle.file.vehicle.base_kind, roles_of(vehicle), vehicle.file.estimation
     imus = roles.imus
-    if settings.method != EXIDDM and not roles.cells and not settings.base_rows:
+    if not settings.predicts and not roles.cells and not settings.base_rows:
         raise ValueError("no load cell, torque or base wrench is left to make a row of")
     if not base.moves:
         return

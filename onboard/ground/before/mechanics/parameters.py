@@ -10,7 +10,6 @@ from rich.text import Text
 from onboard import config
 from onboard.flight.estimate.problem.identification import NAMING_SEED, build_identifier, build_model
 from onboard.ground.before.mechanics.analysis import Counted, counted
-from onboard.ground.identify.kinds.likelihood_log import EXIDDM
 from onboard.regressor.base_parameters import BaseParameters, base_parameters
 from onboard.regressor.groupings import Groupings, groupings
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows
@@ -54,7 +53,7 @@ def parameters(vehicle: config.Vehicle) -> Parameters:
         ConfigError: the vehicle file does not fit its URDF.
         ModelError: a vehicle without any row.
     """
-    if vehicle.file.estimation.method == EXIDDM:  # it uses no rows; the zero wrench gives its identifiable parameters
+    if vehicle.file.estimation.predicts:  # it uses no rows; the zero wrench gives its identifiable parameters
         drawn = build_model(vehicle)
         model = RowModel(drawn, [*base_force_rows(drawn), *base_moment_rows(drawn)])
         base = base_parameters(model, np.random.default_rng(NAMING_SEED))

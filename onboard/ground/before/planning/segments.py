@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from onboard import config
+from onboard.config.methods import OF_A_FREE_BASE
 from onboard.config.segments import Library
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
@@ -53,7 +54,7 @@ def plan_segments(
         ConfigError: limits or payload do not fit the vehicle, or it has no free base.
     """
     if vehicle.prediction in (config.Prediction.ROWS, config.Prediction.PLANAR):
-        raise config.ConfigError(f'{vehicle.label}: segments need method = "exiddm" and a base that is free')
+        raise config.ConfigError(f"{vehicle.label}: segments need {OF_A_FREE_BASE}")
     coarse = vehicle.with_row_rate(TICK_HZ)
     plan = plan_of(coarse, rehearsed(1.0 / TICK_HZ))
     if plan.payload is None:

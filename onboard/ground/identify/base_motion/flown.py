@@ -21,7 +21,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import METHODS, build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
-from onboard.ground.identify.kinds.likelihood_log import EXIDDM, runs_of
+from onboard.ground.identify.kinds.likelihood_log import runs_of
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
@@ -90,7 +90,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     known = np.isfinite(ticks.measured[:, :3]).all(axis=1)
     ticks.q[~known] = np.nan  # a run ends where the gyro has a gap
     period_s = 1.0 / settings.row_rate_hz
-    if settings.method == EXIDDM and model.spec.base.falls:
+    if settings.predicts and model.spec.base.falls:
         changes, held = _recorded_changes(log), settings.exiddm.held_at_start or settings.carried is not None
     else:
         changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])

@@ -66,7 +66,9 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
             failure = f"the fit failed: {error}"
     if fit is None:
         nothing = Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure)
-        return Identified(log.path, "exiddm", (), len(poses.time_s), refused, log.damage, verdict(nothing))
+        return Identified(
+            log.path, config.PREDICTING.name, (), len(poses.time_s), refused, log.damage, verdict(nothing)
+        )
     (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
     findings = findings._replace(doubts=(*findings.doubts, *moved))
     evidence = Evidence(
@@ -78,7 +80,7 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
-    known = log.path, "exiddm", answers, fit.found.rows, refused, log.damage, verdict(evidence)
+    known = log.path, config.PREDICTING.name, answers, fit.found.rows, refused, log.damage, verdict(evidence)
     return Identified(*known, misfit=max(fit.found.by_sensor[:2]), budget=budget, standings=standings_of(evidence))
 
 

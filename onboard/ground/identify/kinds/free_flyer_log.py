@@ -1,4 +1,4 @@
-"""``heft identify --method exiddm``: a free-flyer's log by maximum likelihood, the whole flight in one fit.
+"""A free-flyer's log by maximum likelihood, the whole flight in one fit.
 
 The flight is divided at the changes of the payload, into segments with nothing held and with the payload that was
 held the longest, and fitted by :mod:`onboard.identification.whole_flight.fit`, with all instruments that the flight

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard import config
 from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
@@ -34,7 +35,6 @@ from onboard.identification.useful import Useful
 from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.recording.reader import LogReader
 
-EXIDDM = "exiddm"
 LONGEST_S = 60.0  # of flight that is fitted as a whole
 SHORTEST_S = 2.0
 
@@ -133,7 +133,9 @@ def no_answer(kept: Kept, used: int, failure: str = "", *, misread: bool = False
     log, nothing = kept.log, dict.fromkeys(_names(kept), False)
     refused = dict(kept.refused) if used else {**kept.refused, **kept.idle}
     evidence = Evidence(used, refused, nothing, None, failure=failure)
-    return Identified(log.path, EXIDDM, (), used, dict(kept.refused), log.damage, verdict(evidence), misread=misread)
+    return Identified(
+        log.path, config.PREDICTING.name, (), used, dict(kept.refused), log.damage, verdict(evidence), misread=misread
+    )
 
 
 def identified_of(kept: Kept, found: CheckedFit) -> Identified:
@@ -169,7 +171,7 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     )
     return Identified(
         log.path,
-        EXIDDM,
+        config.PREDICTING.name,
         answers,
         found.rows_used,
         dict(kept.refused),

@@ -42,6 +42,6 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
     )
     misfit = None if run.found is None else max(run.found.by_sensor)
     residuals = {} if run.found is None else by_axis(*run.residuals(), 1.0 / vehicle.file.estimation.row_rate_hz)
-    known = log.path, "exiddm", answers, run.rows_used, refused, log.damage, verdict(evidence)
+    known = log.path, config.PREDICTING.name, answers, run.rows_used, refused, log.damage, verdict(evidence)
     made = run.budget()
     return Identified(*known, misfit=misfit, budget=made, standings=standings_of(evidence), residuals=residuals)

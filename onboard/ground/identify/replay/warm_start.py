@@ -4,8 +4,7 @@ A computer that is restarted, or loses its power, loses the rings and the estima
 to the last 0.2 s. Its last estimate goes into the vehicle file of the next flight, which that flight's log carries, so
 it replays by itself. The information of the earlier rows is reduced until no interval is narrower than in the log;
 common errors (a load cell's scale) are kept separate, so that they do not average out from flight to flight. The sigmas
-of a free-flyer's payload (method "exiddm") are tripled, because errors of the other links and of the IMU are common to
-both flights.
+of a free-flyer's payload are tripled, because errors of the other links and of the IMU are common to both flights.
 
 The payload must be the same; otherwise fly without a warm start.
 """
