@@ -33,8 +33,8 @@ _STYLE = {Level.GOOD: "bold green", Level.WEAK: "bold yellow", Level.DO_NOT_USE:
 
 def render(found: Identification) -> RenderableType:
     """The result as tables."""
+    told = [Text(f"by the recording: {one}") for one in found.recorded]
     if not any(log.throw for log in found.logs):
-        told = [Text(f"by the recording: {one}") for one in found.recorded]
         return Group(*(part for log in found.logs for part in _one(log)), *told, *_predicted(found))
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
@@ -50,7 +50,7 @@ def render(found: Identification) -> RenderableType:
             f"{rotor.factor:.4f} ± {rotor.sigma:.4f} (sigma), misfit {100 * rotor.misfit:.2f} %; for the vehicle file:"
         )
         parts += [Text(text), Text(f"\n{found.calibration.as_toml()}\n")]
-    return Group(*parts)
+    return Group(*parts, *told)
 
 
 def budgets(found: Identification) -> RenderableType:

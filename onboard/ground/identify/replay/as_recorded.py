@@ -135,7 +135,7 @@ class RecordedVehicle(NamedTuple):
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
-    """The vehicle whose devices are all recorded ones, an arm's or one that floats or turns; any other as it is.
+    """The vehicle whose devices are all recorded ones, an arm's or one that floats, turns or is thrown; others as is.
 
     Args:
         vehicle: its file.
@@ -145,7 +145,8 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
     carried = not vehicle.file.vehicle.base_kind.follows and settings.method == "rows"
     turns = vehicle.prediction is config.Prediction.PIVOT
     free = turns or vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
-    if not (carried or free) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
+    thrown = vehicle.prediction is config.Prediction.ROWS and vehicle.file.free_body is not None
+    if not (carried or free or thrown) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
         return RecordedVehicle(vehicle, ())
     found = dict[str, list[str]]()  # devices, by what the log says of them
     for name, device in devices.items():
@@ -172,7 +173,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
         said.append(f"{begins}: [estimation.phases]")
     file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
     found_so_far = vehicle.model_copy(update={"file": file})
-    if free or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
+    if free or thrown or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
     return RecordedVehicle(choice.vehicle, (*said, choice.said))
 

@@ -100,6 +100,21 @@ def test_a_recorder_that_writes_readings_more_than_once_is_known_by_doing_it_all
     assert not angle_of(as_recorded(vehicle, recorded(tmp_path / "log.mcap", once, 2.0)).vehicle).repeats
 
 
+def test_a_thrown_body_of_a_slower_recorder_is_identified_at_its_rate(tmp_path):
+    """Samples 1.24 ms apart where the vehicle file says 0.248: every row was refused, as if samples were missing."""
+    vehicle = config.load(config.packaged("tudelft"))
+    with LogWriter.create(tmp_path / "throw_config_a.mcap", durable=False) as writer:
+        rows = np.zeros(600, SCALAR)
+        rows["sequence"], rows["scale"], rows["unit"] = np.arange(600), 1e-3, b"rad/s"
+        rows["host_ns"], rows["value_raw"] = 1_240_000 * np.arange(1, 601), 1000 * np.arange(600)
+        writer.register("wheel_rate", SCALAR)
+        writer.write("wheel_rate", rows)
+    found = as_recorded(vehicle, LogReader(tmp_path / "throw_config_a.mcap"))
+    assert found.vehicle.file.device["wheel_rate"].period_ms == pytest.approx(1.24)
+    assert found.said == ("period_ms: samples are 1.24 ms apart, not 0.248 (device.wheel_rate)",)
+    assert found.vehicle.file.estimation == vehicle.file.estimation
+
+
 def test_every_recorded_kind_that_an_estimator_reads_may_repeat():
     kinds = [kind for kind in RecordedDevice.__subclasses__() if "role" in kind.about_role or kind.about_role]
     assert len(kinds) >= 6
