@@ -67,7 +67,7 @@ BENCHES: Final = (
         label="student_arm",
     ),
     Job("mission_accuracy", "lab_ur --first 9701 --seeds 1", "lab_ur --first 9701 --seeds 20", label="lab_ur"),
-    Job("captures", "--seeds 2"),
+    Job("captures", "--seeds 2", "", "workshop_tools"),
     Job(
         "mission_accuracy",
         "tools --seeds 1 --first 101",

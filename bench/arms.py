@@ -5,6 +5,7 @@ the published table, and beside the torques of the run that was not used. Run ``
 sets in $HEFT_DATASETS or ../shared/datasets.
 """
 
+import argparse
 import csv
 import os
 import re
@@ -16,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
+from bench import given
 from onboard import config
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.predict import predict
@@ -77,7 +79,10 @@ def lwr4(directory: Path, logs: Path) -> tuple[float, float]:
 
 def main() -> None:
     """Print the tables."""
-    datasets = Path(os.environ.get("HEFT_DATASETS", "../shared/datasets"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    recorded = given.directory_with("staubli_tx40/*", "kuka_lwr4/*")
+    parser.add_argument("--datasets", type=recorded, default=given.DATASETS)
+    datasets = parser.parse_args().datasets
     with tempfile.TemporaryDirectory() as directory:
         logs = Path(directory)
         ols, wls = (100.0 * errors for errors in tx40(datasets / "staubli_tx40", logs))

@@ -131,8 +131,8 @@ def ball_jointed(chain: SerialChain, step_s: float) -> mujoco.MjModel:
     def body(i: int) -> str:
         full = numbers(chain.inertia[i][[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
         inertial = f'<inertial pos="{numbers(chain.centre[i])}" mass="{float(chain.mass[i])!r}" fullinertia="{full}"/>'
-        w = pin.Quaternion(chain.next_axes[i - 1]).coeffs() if i else None
-        place = f'pos="{numbers(chain.next_origin[i - 1])}" quat="{numbers(w[[3, 0, 1, 2]])}"' if i else ""
+        w = pin.Quaternion(chain.next_axes[i - 1]).coeffs()[[3, 0, 1, 2]] if i else np.empty(0)
+        place = f'pos="{numbers(chain.next_origin[i - 1])}" quat="{numbers(w)}"' if i else ""
         joint = '<joint type="ball"/>' if i else "<freejoint/>"
         inner = body(i + 1) if i + 1 < len(chain.mass) else ""
         return f'<body name="b{i}" {place}>{joint}{inertial}{inner}</body>'

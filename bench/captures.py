@@ -9,7 +9,6 @@ errors and other noise each time, half of them with a payload held. Run ``python
 import argparse
 import os
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -17,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
+from bench import given
 from bench.identification import free_flyer as case
 from bench.identification.recursive import estimator, ticks_of
 from hil_sim.plants import free_flyer
@@ -138,7 +138,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--datasets", type=Path, default=Path(os.environ.get("HEFT_DATASETS", "../shared/datasets")))
+    parser.add_argument("--datasets", type=given.directory_with("workshop_tools/*"), default=given.DATASETS)
     run(parser.parse_args())
 
 

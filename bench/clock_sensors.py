@@ -29,7 +29,7 @@ class WarmingClock:
 
     def _chip_s(self, time_s: Floats) -> Floats:
         wave = np.cos(self._phase) - np.cos(self._phase + self._turn * time_s)
-        return self._rate * time_s + self._swing / self._turn * wave
+        return np.asarray(self._rate * time_s + self._swing / self._turn * wave)
 
     def chip_ns(self, time_ns: int) -> int:
         """See ``hil_sim.sensing.analog.ChipClock``."""
@@ -116,4 +116,4 @@ class Elapsed:
 
     def taken_ns(self, rows: Rows) -> Floats:
         """When rows (n,) were taken, after START_NS."""
-        return 1e9 * rows["value_raw"] * rows["scale"]
+        return np.asarray(1e9 * rows["value_raw"] * rows["scale"])

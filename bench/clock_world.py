@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -183,8 +184,13 @@ class ClockWorld:
         box = SyncBox(WarmingClock(rng, 50e-6, 1e-9), START_NS, first_sync=int(rng.integers(0, 1_400_000)))
         self._buses["can_0"].add(box)
         uncut = [START_NS + round(1e9 * s) for s in cut_s]
+
+        def edge_unless_cut(pin: Callable[[int, int], None], edge: int, high: int) -> None:
+            if not uncut[0] <= edge < uncut[1]:
+                pin(edge, high)
+
         for pin in pins:
-            box.connect_pin(lambda edge, high, pin=pin: None if uncut[0] <= edge < uncut[1] else pin(edge, high))
+            box.connect_pin(partial(edge_unless_cut, pin))
         self.edges: list[int] = []
         box.connect_pin(lambda edge, high: self.edges.append(edge))
         opened = open_devices(vehicle.with_urls(ports.urls), lambda: self.now_ns)
@@ -258,7 +264,8 @@ class ClockWorld:
         times_ns = self.timebase.time_ns(channel, rows)
         if times_ns is None:
             return
-        rows, times_ns = (part[~self.timebase.waited(channel, rows)] for part in (rows, times_ns))
+        if (waited := self.timebase.waited(channel, rows)) is not None:
+            rows, times_ns = rows[~waited], times_ns[~waited]
         if not len(rows):
             return
         taken_ns = self.taken[channel](rows)

@@ -219,7 +219,7 @@ def _faults(
         end_s = start_s + float(10.0 ** rng.uniform(-2.0, 0.3))
         where = rng.choice(("drive", "box", "wire", "host"), p=(0.45, 0.15, 0.2, 0.2))
         if where == "host" and not host:
-            host.append((str(rng.choice(HOST)), *(START_NS + round(1e9 * t) for t in (start_s, end_s))))
+            host.append((str(rng.choice(HOST)), START_NS + round(1e9 * start_s), START_NS + round(1e9 * end_s)))
             continue
         kinds, device = {
             "drive": (DRIVE, str(rng.choice([j.motor.name for j in joints]))),

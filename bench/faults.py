@@ -119,7 +119,12 @@ def draw(seed: int) -> tuple[str, list[Fault]]:
     for device in rng.choice(sorted(possible), 1 + int(rng.random() < 0.4), replace=False):
         kind = possible[str(device)][int(rng.integers(len(possible[str(device)])))]
         start_s = 0.0 if rng.random() < 0.08 else float(rng.uniform(0.2, end_s - 0.3))
-        fault = {"kind": str(kind), "device": str(device), "start_s": round(start_s, 4), "value": _value(kind, rng)}
+        fault: Fault = {
+            "kind": str(kind),
+            "device": str(device),
+            "start_s": round(start_s, 4),
+            "value": _value(kind, rng),
+        }
         if rng.random() < 0.85 or kind in (FaultKind.INTERMITTENT, FaultKind.GARBAGE):
             lasts_s = SHORTEST_S * (LONGEST_S / SHORTEST_S) ** rng.random()
             fault["end_s"] = round(start_s + lasts_s, 4)

@@ -35,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import given
 from bench.real_flight import WORKERS, RealFlight, all_processes, busy, cpu_s, flying, longer, pss_mb, waited_s
 from onboard import config
 from onboard.ground.log.views.info import info
@@ -182,7 +183,9 @@ def answers(log: Path, truth: dict[str, Any]) -> list[dict[str, Any]]:
 def main() -> int:
     """Fly, print, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--vehicle", default="dymaflex", help="a packaged one with a scenario of its name")
+    parser.add_argument(
+        "--vehicle", choices=given.rehearsed(), default="dymaflex", help="a packaged one with a scenario"
+    )
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--load", type=int, default=0)
     parser.add_argument("--nice", type=int, default=0)

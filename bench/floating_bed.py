@@ -133,8 +133,8 @@ def fly(
     yaw = poses[:, 2] + rng.normal(0.0, 0.01)
     shown = np.column_stack([seen, yaw])[::10]
     shown += rng.normal(0.0, 1.0, shown.shape) * [3e-4, 3e-4, 6e-4]
-    time_s = np.arange(n)[::10] * STEP_s
-    time = np.arange(len(levels)) * period_s
+    time_s = np.arange(0.0, n, 10.0) * STEP_s
+    time = np.arange(float(len(levels))) * period_s
     return RecordedBed(
         float(mass),
         (float(centre[0]), float(centre[1])),

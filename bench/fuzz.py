@@ -74,6 +74,8 @@ def main() -> int:
     unknown = set(arguments.decoders) - set(NAMES)
     if unknown:
         parser.error(f"no decoder is called {', '.join(sorted(unknown))}: choose of {', '.join(NAMES)}")
+    if arguments.replay and not (arguments.replay.is_file() and arguments.replay.resolve().parent.name in NAMES):
+        parser.error(f"{arguments.replay} is no saved input; they are below {FOLDER}, in the folder of their decoder")
     if arguments.replay:
         replay(arguments.replay)
         return 0

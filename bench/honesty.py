@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import given
 from bench.honest_flights import scores
 from bench.honest_flights.drawn import HARMLESS, REDUNDANT
 from onboard.ground.campaign.instants import off_by
@@ -168,9 +169,9 @@ def _at_all_instants(rows: list[dict[str, Any]]) -> str:
 def main() -> int:
     """Print the counts, or the scoreboard."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("directories", type=Path, nargs="+", metavar="DIR", help="of the campaign")
+    parser.add_argument("directories", type=given.campaign, nargs="+", metavar="DIR", help="of the campaign")
     parser.add_argument(
-        "--before", type=Path, nargs="+", metavar="DIR", default=[], help="of another revision's flights"
+        "--before", type=given.campaign, nargs="+", metavar="DIR", default=[], help="of another revision's flights"
     )
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the scoreboard as Markdown")
     arguments = parser.parse_args()

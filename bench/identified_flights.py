@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from bench import given
 from onboard.ground.identify.identify import identify
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.recording.reader import LogReader
@@ -35,7 +36,7 @@ def onboard(log: LogReader) -> dict[str, tuple[float, float]]:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("logs", nargs="+", type=given.flown_log)
     errors: dict[str, list[tuple[float, float, float, float]]] = {}
     for path in parser.parse_args().logs:
         log = LogReader(path)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import given
 from onboard import config
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.replay.replay import Pass, steps
@@ -49,7 +50,7 @@ def step_times_s(log: LogReader, vehicle: config.Vehicle) -> tuple[np.ndarray, E
 def main() -> None:
     """Print a line per URDF."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("log", type=Path)
+    parser.add_argument("log", type=given.log)
     parser.add_argument("--mass", type=float, default=1.6, help="factor on the links of the wrong URDF (default 1.6)")
     asked = parser.parse_args()
     log = LogReader(asked.log)

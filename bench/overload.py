@@ -17,6 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from bench import given
 from bench.real_flight import cpu_s, flying, processes
 from onboard.ground.identify.replay.replay import replay
 from onboard.ground.log.views.info import info
@@ -54,7 +55,7 @@ def starve(supervisor: int, share: float, seconds: float) -> tuple[float, float,
 def main() -> int:
     """Print what came of it, and the bars missed."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--vehicle", default="rocksat")
+    parser.add_argument("--vehicle", type=given.vehicle, default="rocksat")
     parser.add_argument("--share", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=48.0)
     options = parser.parse_args()
@@ -67,9 +68,9 @@ def main() -> int:
         print(f"needs {need:.0%} of a core, got {got:.1%}; restarts {restarts}; exit {code}")
         read = LogReader(log)
         ticks, events, answers = read.read("tick"), read.read("event_estimation"), read.read("quantity")
-        for code in (b"estimator_late", b"estimator_skips", b"estimator_overrun"):
-            said = [row["text"].decode() for row in events if row["code"] == code]
-            print(f"{code.decode()}: {len(said)}" + (f"; last: {said[-1]}" if said else ""))
+        for kind in (b"estimator_late", b"estimator_skips", b"estimator_overrun"):
+            said = [row["text"].decode() for row in events if row["code"] == kind]
+            print(f"{kind.decode()}: {len(said)}" + (f"; last: {said[-1]}" if said else ""))
         lost = len(read.read("recorder_gap"))
         print(f"left out {1e-9 * ticks['skipped_ns'].sum():.1f} s; gaps of the recorder: {lost}")
         last = answers[answers["host_ns"] == answers["host_ns"][-1]]

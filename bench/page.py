@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench import given
 from bench.real_flight import RealFlight, busy, cpu_s, flying, longer, pss_mb
 from onboard.recording.reader import LogReader
 from onboard.ring import RingReader
@@ -147,7 +148,7 @@ def looked_at(flight: RealFlight, channel: str, seconds: float) -> tuple[Ages, l
 def main() -> int:
     """Print both halves, and the bars missed."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--vehicle", default="rocksat")
+    parser.add_argument("--vehicle", choices=given.rehearsed(), default="rocksat")
     parser.add_argument("--channel", default="joint_1")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each half (default 20)")
     parser.add_argument("--load", type=int, default=0, help="processes that only compute (default 0)")

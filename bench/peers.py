@@ -7,7 +7,7 @@ import binascii
 import struct
 from collections.abc import Callable
 
-from cobs import cobs
+from cobs import cobs  # type: ignore[import-untyped]
 
 from drivers.ports import CanFrame, Edge, I2cReply
 from tests.drivers.dynamixel_model import crc
@@ -284,7 +284,7 @@ def dynamixel_packet(head: str, data: bytes) -> bytes:
 
 def node_framed(payload: bytes) -> bytes:
     """A node frame on the wire: payload, CRC-16/CCITT-FALSE, COBS, delimiter."""
-    return cobs.encode(payload + binascii.crc_hqx(payload, 0xFFFF).to_bytes(2, "big")) + b"\0"
+    return bytes(cobs.encode(payload + binascii.crc_hqx(payload, 0xFFFF).to_bytes(2, "big"))) + b"\0"
 
 
 def node_descriptor(names: tuple[str, ...], sequence: int, tick: int) -> bytes:

@@ -137,7 +137,8 @@ def measured(work: Callable[..., None], *arguments: object) -> tuple[float, floa
     process.join()
     if process.exitcode:
         raise RuntimeError(f"{work.__name__} failed; its message stands above")
-    return answer.get()
+    seconds, peak_MiB = answer.get()
+    return seconds, peak_MiB
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import given
 from bench.real_flight import WORKERS, busy, flying, longer, memory_line, processes
 from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
@@ -51,7 +52,7 @@ def fly(vehicle: str, place: Path, nice: int, kills: int, load: int) -> tuple[Pa
 def main() -> int:
     """Print a line for each worker, and the bars missed."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--vehicle", default="dymaflex")
+    parser.add_argument("--vehicle", choices=given.rehearsed(), default="dymaflex")
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument("--load", type=int, default=0)
     parser.add_argument("--nice", type=int, default=0)

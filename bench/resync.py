@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from bench.identification.free_flyer import BOXES, ERRORS, IMU_PRIOR, PAYLOAD_SIGMA, vehicle
 from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, sample
+from hil_sim.plants.free_flyer import COUNTS_PER_TURN
+from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
@@ -68,15 +69,16 @@ def fly(seed: int) -> ResyncFlight:
     flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_S)
     imu = sample(flight, ERRORS, rng)
     rate, first_s = rng.uniform(-RATE_LIMIT, RATE_LIMIT), rng.uniform(0.3, DURATION_S - ENCODERS_S - 0.3)
-    own_s = 2e-3 * np.arange(int(ENCODERS_S / (2e-3 * (1.0 + rate))))
+    own_s = 2e-3 * np.arange(float(int(ENCODERS_S / (2e-3 * (1.0 + rate)))))
     true_s = first_s + (1.0 + rate) * own_s
     count = 2.0 * np.pi / COUNTS_PER_TURN
     angle = (np.floor(motion.at(true_s)[0] / count) + 0.5) * count
     sigma = imu.rate_sigma_rad_s, imu.specific_force_sigma_m_s2
     recorded = RecordedPair(imu.time_s, imu.rate_rad_s, imu.specific_force_m_s2, sigma, own_s, angle)
     shared = (imu.time_s >= true_s[0]) & (imu.time_s <= true_s[-1])
-    whole = (imu.time_s, imu.angle_rad, imu.rate_rad_s, imu.specific_force_m_s2)
-    synchronised = build(tick_signals(*(part[shared] for part in whole), sigma, 5, 0.1), IMU_PRIOR).fit()
+    of_joints = imu.time_s[shared], imu.angle_rad[shared]
+    of_base = imu.rate_rad_s[shared], imu.specific_force_m_s2[shared]
+    synchronised = build(tick_signals(*of_joints, *of_base, sigma, 5, 0.1), IMU_PRIOR).fit()
     try:
         found = rescue(recorded, coarse_clocks(model, recorded, RATE_LIMIT), build, IMU_PRIOR)
     except (ResyncError, ConvergenceError) as error:

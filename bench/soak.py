@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import given
 from bench.real_flight import WORKERS, RealFlight, all_processes, flying, longer, pss_by_kind_mb, pss_mb
 from onboard.recording.reader import LogReader
 
@@ -101,7 +102,9 @@ def judge(looks: list[ProcessLoad]) -> tuple[list[str], dict[str, Growth]]:
 def main() -> int:
     """Fly, look, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--vehicle", default="dymaflex", help="a packaged one with a scenario of its name")
+    parser.add_argument(
+        "--vehicle", choices=given.rehearsed(), default="dymaflex", help="a packaged one with a scenario"
+    )
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()

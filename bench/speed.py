@@ -23,6 +23,8 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
+from bench import given
+
 ROOT: Final = Path(__file__).resolve().parents[1]
 HIL: Final = "hil {} --seed {seed} --log {out}/flight.mcap"
 COMMANDS: Final = {
@@ -140,7 +142,8 @@ def run(checkout: Path, command: str, compiled: Path) -> dict[str, float]:
         child.returncode = os.waitstatus_to_exitcode(status)
         if child.returncode != 0:
             raise RuntimeError(f"{checkout}: heft {command} ended with {child.returncode}: {said}")
-        return json.loads(told.read_text(encoding="utf-8")) | {"whole": used.ru_utime + used.ru_stime}
+        seconds: dict[str, float] = json.loads(told.read_text(encoding="utf-8"))
+        return seconds | {"whole": used.ru_utime + used.ru_stime}
 
 
 def measure(
@@ -160,8 +163,8 @@ def measure(
         for _ in range(rounds):
             for name in only:
                 for one, its in logs.items():
-                    with tempfile.TemporaryDirectory() as out:
-                        command = COMMANDS[name].format(seed=seed, out=out, log=its / "flight.mcap")
+                    with tempfile.TemporaryDirectory() as scratch:
+                        command = COMMANDS[name].format(seed=seed, out=scratch, log=its / "flight.mcap")
                         found[name][str(one)].append(run(one, command, compiled[one]))
     return found
 
@@ -184,7 +187,8 @@ def _row(values: list[float]) -> str:
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--against", type=Path, help="another checkout, run with this Python and its packages")
+    checkout = given.directory_with("onboard", "drivers", "hil_sim")
+    parser.add_argument("--against", type=checkout, help="another checkout, run with this Python and its packages")
     parser.add_argument("--only", nargs="+", choices=COMMANDS, default=list(COMMANDS), metavar="COMMAND")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--rounds", type=int, default=5)

@@ -9,7 +9,6 @@ so tell how far off a solution is.
 
 import argparse
 import math
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -204,4 +203,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -14,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from bench import given
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.identify import Identification, identify
@@ -42,7 +43,7 @@ def _half(moments: PrincipalMoments) -> FloatArray:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("source", type=Path, help="directory of the recordings (*.npz)")
+    parser.add_argument("source", type=given.directory_with("*.npz"), help="directory of the recordings (*.npz)")
     parser.add_argument("--offsets", type=int, default=4, help="positions of the recorder's clock (default 4)")
     arguments = parser.parse_args()
     print(f"{'':39}{'error, norm':>15}{'half width, median':>22}{'error / sigma':>15}")

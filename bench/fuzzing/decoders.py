@@ -9,7 +9,7 @@ import binascii
 import contextlib
 from collections.abc import Callable, Iterator
 
-from cobs import cobs
+from cobs import cobs  # type: ignore[import-untyped]
 
 from bench import peers
 from bench.fuzzing.laws import MOST_PUMPS, MS, STEPS_NS, cut, drive, exhaust, leading, polled, split, spoken
@@ -236,7 +236,7 @@ def dynamixel_line(data: bytes) -> None:
 
 
 def _frames_taken(data: bytes) -> list[bytes]:
-    stream, taken = node_frame.FrameStream(), []
+    stream, taken = node_frame.FrameStream(), list[bytes]()
     stream.receive(data)
     while True:
         try:

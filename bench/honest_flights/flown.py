@@ -20,8 +20,8 @@ from drivers.records import IMU, SCALAR, Rows
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from hil_sim.plants import free_flyer, planar_bed
-from hil_sim.plants.free_flyer import Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, SampledSignals, sample
+from hil_sim.plants.free_flyer import COUNTS_PER_TURN, Body, JointMotion
+from hil_sim.sensing.free_flyer_sensors import SampledSignals, sample
 from onboard import config
 from onboard.dynamics.model.inertia import elements
 from onboard.flight import hil

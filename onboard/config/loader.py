@@ -18,9 +18,12 @@ from onboard.devices.registry import BROKEN
 File = TypeVar("File", bound=BaseModel)
 
 
+_PACKAGED = Path(__file__).parents[1] / "vehicles"
+
+
 def packaged(name: str) -> Path:
     """Path of a vehicle that comes with heft."""
-    return Path(__file__).parents[1] / "vehicles" / name / "vehicle.toml"
+    return _PACKAGED / name / "vehicle.toml"
 
 
 def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
@@ -33,7 +36,7 @@ def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
         return load(Path(name), urdf)
     path = packaged(str(name))
     if not path.exists():
-        known = sorted(file.parent.name for file in path.parents[1].glob("*/vehicle.toml"))
+        known = sorted(file.parent.name for file in _PACKAGED.glob("*/vehicle.toml"))
         near = difflib.get_close_matches(str(name), known, 1)
         meant = f"did you mean {near[0]!r}? Others: " if near else "there are "
         others = ", ".join(one for one in known if one not in near)

@@ -1,5 +1,6 @@
 """The benches run one after another: what each printed is kept, and one that fails is reported."""
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,33 @@ def test_one_without_its_recordings_is_left_out(tmp_path: Path, monkeypatch: pyt
         "arms", "python -m bench.arms", f"not run: no {tmp_path / 'no_arm'}"
     )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("honesty DIR", "is not the directory of a campaign"),
+        ("identified_flights DIR/bad.mcap", "bad.mcap is no heft log"),
+        ("identified_flights DIR/none.mcap", "there is no file"),
+        ("longest_step DIR/bad.mcap", "bad.mcap is no heft log"),
+        ("tudelft_accuracy DIR", "holds no *.npz"),
+        ("captures --datasets DIR", "holds no workshop_tools/*"),
+        ("arms --datasets DIR", "holds no staubli_tx40/*"),
+        ("fuzz --replay DIR/none", "is no saved input"),
+        ("speed --against DIR", "holds no onboard"),
+        ("overload --vehicle DIR/bad.toml", "bad.toml: not TOML"),
+        ("overload --vehicle DIR", "there are air_bearing, "),
+        ("restarts --vehicle none", "invalid choice: 'none'"),
+    ],
+)
+def test_what_is_given_wrongly_is_a_sentence_and_exit_code_2(
+    command: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.mcap").write_text("not a log")
+    (tmp_path / "bad.toml").write_text("not = [toml")
+    bench, *arguments = command.replace("DIR", str(tmp_path)).split()
+    monkeypatch.setattr("sys.argv", [bench, *arguments])
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(f"bench.{bench}").main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
