@@ -117,3 +117,13 @@ def test_a_slice_of_the_campaign_holds_no_confident_nonsense() -> None:
     flown = flight(4002, {})
     assert flown.answers
     assert not flown.nonsense
+
+
+def test_of_two_cells_that_differ_by_5_percent_the_answer_holds_both_and_identify_says_it_too(tmp_path: Path) -> None:
+    flown = lied_to(tmp_path, "rocksat_mixed", fault("wrong", "load_cell", 0.05, 0.0))
+    assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
+    standing = flown.mass("m_tip_mass")["standing"]
+    assert standing.startswith("weak: load_cell and load_cell_2 contradict each other: ")
+    assert "probability of being wrong: load_cell" in standing
+    [verdict] = (one.verdict for one in identify(config.load(config.packaged("rocksat_mixed")), [flown.log]).logs)
+    assert any("probability of being wrong: load_cell" in reason for reason in verdict.reasons)

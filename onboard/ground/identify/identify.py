@@ -199,13 +199,14 @@ def _one(
     for channel, rows in feed_rows(estimator, log):
         if channel == "quantity":
             last = rows
+    online, who = estimator.online, estimator.identifier  # the selected one, where instruments are redundant
     refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
     if last is None:
         nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
         none = throws.throw(vehicle, load, who) if load else None
         return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
     held = held_out(who.seen, who)
-    estimate = who.estimate()
+    estimate = online.estimate()
     answers = _answers(last, who)
     thrown = throws.throw(vehicle, load, who) if load else None
     names = _asked_names(vehicle, who)
@@ -228,7 +229,7 @@ def _one(
     failure = _no_payload(who, estimate)
     evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
     useful = useful_of(vehicle)
-    findings = who.findings()
+    findings = online.findings()
     if load is not None:
         unlike = throws.unlike_the_carrier(vehicle, load, estimate)
         findings = findings._replace(doubts=(*findings.doubts, *unlike))

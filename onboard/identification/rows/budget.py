@@ -26,6 +26,7 @@ def budget(identifier: Identifier) -> Mapping[str, tuple[Contribution, ...]]:
     for cause, effect in zip(identifier.considered, causes.T, strict=True):
         parts[cause.key or cause.name] = np.hypot(parts.get(cause.key or cause.name, 0.0), effect)
     for fit in identifier.fits(jackknife.mean):
-        if fit.step is not None:
-            parts[f"{fit.instrument}: a step of its gain"] = np.abs(w @ fit.step.suspected)
+        for tested, what in ((fit.step, "a step"), (fit.gain, "an error")):
+            if tested is not None:
+                parts[f"{fit.instrument}: {what} of its gain"] = np.abs(w @ tested.suspected)
     return {name: by_size({cause: float(one[k]) for cause, one in parts.items()}) for k, name in enumerate(names)}

@@ -4,18 +4,22 @@ Each redundant instrument (two cells about one axis) is left out by one identifi
 with the payload released, and still held. Rules:
 
 - An identifier is *contradicted* when its own findings refuse its estimate.
-- While the one with all instruments, as reported, is not contradicted, it is selected. Where two that each leave one
-  instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on all are
-  contradicted (*do not use*). This stays so when they draw nearer: the rows of the one that lies are not forgotten.
-- Where either is so and of exactly one of the others nothing is doubtful, that one is selected and its left-out
-  instrument named. It stays left out while two contradict each other, until of exactly one other nothing is doubtful.
+- While the one with all instruments, as reported, is not contradicted, it is selected; its intervals hold what an error
+  of a gain does that the others show (:mod:`onboard.identification.rows.checks.gain`). Where two that each leave one
+  instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on one of these
+  instruments is wrong. This stays so when they draw nearer: the rows of the one that lies are not forgotten.
+- Then each that leaves one out and is not contradicted is weighed by what it makes of the parts that the drawing knows,
+  as nothing else distinguishes two gains. Where one remains it is selected and its left-out instrument named; where
+  several do, the answer is their mixture, and all are named.
+- Where the one with all instruments is contradicted by its own rows, and without exactly one instrument nothing is
+  doubtful while all others are contradicted too, that one is selected and its left-out instrument named.
 - A release is accepted, or rejected, when the evidence of the rows (:mod:`onboard.identification.rows.likelihood`)
   leaves less than the policy's least weight to the other, one report in a hundred being false beforehand. Where
   instruments are redundant, of those hypotheses that find nothing doubtful, and where these agree.
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +32,7 @@ from onboard.identification.corrections import doubtful_from, refused_from
 from onboard.identification.quantities import Estimate, Findings
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.likelihood import nats
+from onboard.identification.rows.mixed import mixed
 from onboard.identification.standing import Level, standing
 from onboard.regressor.signals import Signals
 
@@ -56,6 +61,12 @@ def has_happened(evidence: Sequence[tuple[float, bool]]) -> bool | None:
     return found.pop() if len(found) == 1 else None
 
 
+def _doubts(findings: Mapping[Member, Findings], members: Iterable[Member]) -> Iterator[str]:
+    """Of some of these."""
+    for member in members:
+        yield from findings[member].doubts
+
+
 class Hypotheses:
     """An :class:`onboard.identification.online.OnlineIdentifier` of several.
 
@@ -72,6 +83,9 @@ class Hypotheses:
         self._told_rows: int | None = None  # rows used when a release was reported that is not judged yet
         self._released = False  # a release was accepted: what was released does not come back
         self._contradiction = ""  # between two that leave one instrument out each: it stays
+        self._mixed: dict[
+            Member, float
+        ] = {}  # those that may be right, and the weight of each; empty: the selected one
         self._news: list[Change] = []
 
     @property
@@ -145,7 +159,10 @@ class Hypotheses:
         """Nothing is left to be done: each update processes its rows."""
 
     def estimate(self, level: float = 0.95) -> Estimate:
-        """Of the selected identifier."""
+        """Of the selected identifier, or the mixture of those that may be right."""
+        if self._mixed:
+            estimates = [self._members[member].estimate(level) for member in self._mixed]
+            return mixed(estimates, np.array([*self._mixed.values()]), level)
         return self.chosen.estimate(level)
 
     def findings(self) -> Findings:
@@ -176,27 +193,37 @@ class Hypotheses:
             self._judge_release(findings)
         as_told = findings[_AS_TOLD]
         others = [member for member in findings if member.left_out and not member.still_held]
-        clean = [member for member in others if self._is_clean(member, findings[member])]
         sigmas, apart = self._apart([member for member in self._members if member.left_out])
         if sigmas > refused_from(DOUBLINGS):
             self._contradiction = apart
-        chosen, said = _AS_TOLD, as_told
-        if (as_told.against or self._contradiction) and len(clean) == 1:
-            chosen = clean[0]
-        elif self._contradiction and self._chosen in clean:
-            chosen = self._chosen
-        if chosen.left_out:
-            said = findings[chosen]._replace(
-                doubts=(*findings[chosen].doubts, f"without {chosen.left_out}, which contradicts the others")
-            )
+        weights = self._weights([member for member in others if not findings[member].against])
+        chosen, said, self._mixed = _AS_TOLD, as_told, {}
+        if self._contradiction and len(weights) > 1:
+            self._mixed = weights
+            likely = ", ".join(f"{one.left_out} {weight:.2g}" for one, weight in weights.items())
+            apart = f"{self._contradiction}; probability of being wrong: {likely}"
+            said = Findings(doubts=tuple(dict.fromkeys([apart, *_doubts(findings, weights)])))
+        elif weights and (self._contradiction or as_told.against):
+            likeliest = next(iter(weights))
+            if self._contradiction or (len(weights) == 1 and self._is_clean(likeliest, findings[likeliest])):
+                chosen = likeliest
+                said = findings[chosen].plus(doubts=[f"without {chosen.left_out}, which contradicts the others"])
         elif self._contradiction:
-            said = as_told._replace(against=(self._contradiction, *as_told.against))
+            said = as_told.plus(against=[self._contradiction])
         elif sigmas > doubtful_from(1):
-            said = as_told._replace(doubts=(*as_told.doubts, apart))
+            said = as_told.plus(doubts=[apart])
         if chosen != self._chosen:
             name = chosen.left_out or self._chosen.left_out
             self._note("left_out" if chosen.left_out else "taken_back", name)
         self._chosen, self._findings = chosen, said
+
+    def _weights(self, members: Sequence[Member]) -> dict[Member, float]:
+        """Of those that leave one instrument out each, if one of them is right, by what the drawing knows."""
+        drawn = [self._members[member].drawn for member in members]
+        each = np.exp(-0.5 * (np.array(drawn) - min(drawn, default=0.0)))
+        weights = dict(zip(members, (each / each.sum()).tolist(), strict=True))
+        some = {member: weight for member, weight in weights.items() if weight > LEAST_WEIGHT}
+        return {member: weight / sum(some.values()) for member, weight in sorted(some.items(), key=lambda one: -one[1])}
 
     def _is_clean(self, member: Member, findings: Findings) -> bool:
         """Whether no finding refuses any of its estimates or makes them doubtful."""
@@ -228,7 +255,7 @@ class Hypotheses:
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
         self._members, self._told_rows, self._released = kept, None, accepted
         if not accepted:
-            self._contradiction = ""  # of answers that took it for true
+            self._contradiction, self._mixed = "", {}  # of answers that took it for true
 
     def _nats(self, one: Member, other: Member) -> float:
         """Log of the evidence for one over that for another."""

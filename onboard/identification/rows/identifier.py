@@ -319,8 +319,7 @@ class Identifier:
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self._physical
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            stated = {one.row: one.sigma for one in self.considered if one.effect == "held_scale"}
-            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked), stated)
+            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked), self.considered)
         return self._fitted[1]
 
     @property
@@ -332,12 +331,17 @@ class Identifier:
     def rows_seen(self) -> RowsSeen:
         """All rows so far, those included that contradict the estimate, and what is drawn."""
         taken, refused = self.taken, self.refused[GateReason.RESIDUAL] * self.gate.threshold**2
-        return RowsSeen.of(taken.rls, taken.considered, refused, off_drawing(self.quantities, self.block_jackknife()))
+        return RowsSeen.of(taken.rls, taken.considered, refused, self.drawn)
+
+    @property
+    def drawn(self) -> float:
+        """Sum of squares, in sigmas, of what is found of parts that the drawing knows."""
+        return off_drawing(self.quantities, self.block_jackknife())
 
     def unstated(self, jackknife: JackknifeEstimate) -> Unstated:
         """What errors that no key states do to the estimate: suspected steps, and scales off the drawing."""
         fits = self.fits(jackknife.mean) if self.suspects is None else ()
-        steps = [fit.step.suspected for fit in fits if fit.step is not None]
+        steps = [one for fit in fits for one in fit.suspected]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         return Unstated.of(steps, unstated(self.quantities, jackknife, self.seen, body, prior))
 
@@ -363,16 +367,14 @@ class Identifier:
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
         if self._instruments is not None:
             return self.recursion.block_jackknife(sigma, level)
-        own = taken.rls, self.recursion.blocks, sigma, level
-        made = JackknifeEstimate(*own, scale=None if fitted is None else fitted.noise)
+        made = JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, level, scale=fitted and fitted.noise)
         answer = None if exact or self.suspects is None else self.suspects.answer
         return made if answer is None else made.instead(answer)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""
-        jackknife, eye = self.block_jackknife(), np.eye(len(self.base.names))
-        payload = [self.payload.weights(jackknife)] if self.payload else []
-        weights = np.vstack([eye, *(q.weights for q in self.quantities), *payload])
+        jackknife = self.block_jackknife()
+        weights = np.vstack([self._weights, *([self.payload.weights(jackknife)] if self.payload else [])])
         return np.asarray(np.sqrt(jackknife.formal_variance(weights)), np.float64)
 
     def estimate(self, level: float = 0.95) -> Estimate:

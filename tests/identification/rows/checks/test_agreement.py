@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits, judged_between, judged_fit
+from onboard.identification.rows.checks.agreement import (
+    InstrumentFit,
+    instrument_fits,
+    judged_between,
+    judged_fit,
+    with_stated,
+)
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.considered import Considered
 
 PHYSICAL = np.array([True, True, False])
 TRUTH = np.array([0.5, -0.2, 3.0])  # two of bodies, and a bias
@@ -158,6 +165,46 @@ def two_cells(rng, noises):
         rows.append((Y, y))
     mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
     return instrument_fits(seen, mean, mean, mean, np.zeros(4), np.arange(4) < 2, 1e-6 * np.eye(4), 1.0)
+
+
+def scaled_cells(rng, scale, n=2000):
+    """Fits of two cells, the second scaled, and the estimate of both."""
+    t, one = 0.01 * np.arange(n), np.ones(n)
+    seen, rows = RowBlocks(4, 0.5, ("cell_1", "cell_2")), []
+    for number in range(2):
+        Y = np.column_stack([np.sin(5.0 * t), np.cos(7.0 * t), one * (number == 0), one * (number == 1)])
+        y = (1.0 + scale * number) * (Y @ [0.5, 0.8, 0.0, 0.0]) + number + 0.01 * rng.normal(size=n)
+        seen.add(t, one > 0.0, np.full(n, number), Y, y, 0.01 * one, 0.01 * one, None)
+        rows.append((Y, y))
+    mean = np.linalg.lstsq(np.vstack([Y for Y, _ in rows]), np.concatenate([y for _, y in rows]), rcond=None)[0]
+    return instrument_fits(seen, mean, mean, mean, np.zeros(4), np.arange(4) < 2, 1e-6 * np.eye(4), 1.0), mean
+
+
+def test_a_gain_that_is_wrong_from_the_beginning_shows_against_the_other_cell(rng):
+    """Either may be the wrong one, and what each does to the estimate is in the intervals."""
+    (first, second), mean = scaled_cells(rng, -0.3)
+    assert first.gain.size == pytest.approx(0.3 / 0.85, rel=0.1)
+    assert second.gain.size == pytest.approx(-0.3 / 0.85, rel=0.1)
+    assert first.gain.chance < 1e-6
+    for fit, true in ((first, 0.7), (second, 1.0)):
+        off = np.abs(mean[:2] - true * np.array([0.5, 0.8]))
+        np.testing.assert_allclose(np.abs(fit.gain.suspected[:2]), off, rtol=0.25)
+
+
+def test_healthy_cells_seldom_have_a_suspected_gain_and_one_cell_has_none():
+    each = [scaled_cells(np.random.default_rng(seed), 0.0)[0] for seed in range(60)]
+    assert np.mean([fit.gain.suspected.any() for fits in each for fit in fits]) < 0.1
+    assert fits(np.random.default_rng(0), lambda _, y: 0.7 * y).gain is None
+
+
+def test_a_gain_that_is_within_what_is_stated_of_both_moves_nothing(rng):
+    def stated(sigma):
+        return [Considered(f"scale of {name}", name, "scale", sigma) for name in ("cell_1", "cell_2")]
+
+    (fit, _), _ = scaled_cells(rng, 0.02)
+    assert fit.gain.suspected.any()
+    assert not with_stated([fit], stated(0.008))[0].gain.suspected.any()
+    assert with_stated([fit], stated(0.004))[0].gain.suspected.any()
 
 
 def test_what_is_left_of_a_wrench_that_is_zero_is_a_share_of_what_the_known_bodies_leave(rng):

@@ -74,10 +74,36 @@ def test_two_healthy_cells_both_answer(rng):
     assert found.rows_used == 2 * 1600
 
 
-def test_two_cells_of_different_scales_contradict_each_other_and_nobody_knows_who_is_right(rng):
+def test_of_two_cells_of_different_scales_the_answer_holds_what_either_says(rng):
+    """The drawn arm makes the one likelier; the 99.9 % interval holds the other, too."""
     found = Hypotheses(identifier, ("cell_1", "cell_2"))
     fly(found, rng, scale=lambda _: (1.0, 1.1))
-    assert any("contradict each other" in said for said in found.findings().against)
+    assert found.findings().against == ()
+    assert found.findings().doubts[0].startswith("cell_1 and cell_2 contradict each other: ")
+    assert "; probability of being wrong: cell_2 0.9" in found.findings().doubts[0]
+    held = payload_kg(found)
+    assert held.low < TIP_KG < held.high < 1.1 * TIP_KG < held.outer[1]
+    assert found.refused[GateReason.LEFT_OUT] == 0
+
+
+def test_the_answer_of_both_cells_holds_what_an_error_of_either_gain_does(rng):
+    """Before two answers without one cell each can contradict each other."""
+    found = Hypotheses(identifier)
+    fly(found, rng, scale=lambda _: (1.0, 1.1))
+    held = payload_kg(found)
+    assert held.low < TIP_KG
+    assert held.high > 1.1 * TIP_KG
+
+
+def test_where_the_drawing_says_nothing_both_are_as_likely(rng, monkeypatch):
+    monkeypatch.setattr(Identifier, "drawn", 0.0)
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng, scale=lambda _: (1.0, 1.1))
+    held = payload_kg(found)
+    assert "cell_1 0.5, cell_2 0.5" in found.findings().doubts[0]
+    assert held.low < TIP_KG
+    assert held.high > 1.1 * TIP_KG
+    assert held.high - held.low < 0.3 * TIP_KG  # what is off the drawing widens that of the wrong one
 
 
 @pytest.mark.parametrize("lies", ["cell_1", "cell_2"])
@@ -105,7 +131,7 @@ def test_answers_that_are_3_1_sigmas_apart_are_doubted(rng, monkeypatch, sigmas,
     assert found.findings().against == ()
 
 
-def test_two_cells_that_differ_by_a_little_are_doubted_before_they_are_refused(rng):
+def test_two_cells_that_differ_by_a_little_are_doubted_before_either_is_taken_for_wrong(rng):
     found, said = Hypotheses(identifier, ("cell_1", "cell_2")), list[Findings]()
 
     def scale(_):
@@ -116,7 +142,9 @@ def test_two_cells_that_differ_by_a_little_are_doubted_before_they_are_refused(r
     first = next(one for one in said if one != Findings())
     assert not first.against
     assert first.doubts[0].startswith("cell_1 and cell_2 contradict each other")
-    assert any("contradict each other" in one for one in said[-1].against)
+    assert "probability" not in first.doubts[0]
+    assert said[-1].against == ()
+    assert "probability of being wrong" in said[-1].doubts[0]
 
 
 @pytest.mark.parametrize(("lies", "scale"), [("cell_1", 1.2), ("cell_2", 1.2), ("cell_2", 0.75)])
