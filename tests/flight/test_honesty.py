@@ -122,8 +122,7 @@ def test_a_slice_of_the_campaign_holds_no_confident_nonsense() -> None:
 def test_of_two_cells_that_differ_by_5_percent_the_answer_holds_both_and_identify_says_it_too(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat_mixed", fault("wrong", "load_cell", 0.05, 0.0))
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
-    standing = flown.mass("m_tip_mass")["standing"]
-    assert standing.startswith("weak: load_cell and load_cell_2 contradict each other: ")
-    assert "probability of being wrong: load_cell" in standing
+    said = "load_cell and load_cell_2 contradict each other: "
+    assert flown.mass("m_tip_mass")["standing"].startswith(f"weak: {said}")
     [verdict] = (one.verdict for one in identify(config.load(config.packaged("rocksat_mixed")), [flown.log]).logs)
-    assert any("probability of being wrong: load_cell" in reason for reason in verdict.reasons)
+    assert any(reason.startswith(said) for reason in verdict.reasons)
