@@ -32,6 +32,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from hil_sim.buses.can.slcan import SlcanAdapter
 from hil_sim.buses.gpio.pair import PairBus
 from hil_sim.buses.i2c_dev import I2cTarget
 from hil_sim.buses.i2c_socket import I2cSocket
@@ -42,7 +43,6 @@ from hil_sim.buses.ports import Port, Ports, open_ports, serial_options
 from hil_sim.buses.realtime import MissionServer
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import PtySerial
-from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.buses.spi import SpiBus
 from hil_sim.buses.tcp_ends import ListeningTcp
 from hil_sim.buses.udp_ends import UdpEnd

@@ -20,7 +20,7 @@ import serial
 from drivers.ports import CanFrame
 from drivers.transports import open_can, open_pulse, open_serial
 from drivers.transports.clock import realtime_minus_monotonic
-from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.buses.can.slcan import SlcanAdapter
 from onboard.config.telemetry import Telemetry
 from onboard.telemetry.process import sending
 from onboard.telemetry.stream import Series, Splitter

@@ -43,6 +43,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
     [
         ("hil dymaflex --faults", 0, _HEAVY, 1310, 10),
         ("hil rocksat --faults", 0, _HEAVY, 1310, 10),
+        ("hil rocksat_serial --faults", 0, [*_HEAVY, "can"], 1255, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 1030, 0),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1105, 1),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 648, 1),

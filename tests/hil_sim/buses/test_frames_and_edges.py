@@ -9,7 +9,8 @@ import smbus2
 
 from drivers.ports import CanFrame
 from drivers.transports import open_can
-from hil_sim.buses.in_process import VirtualCan, in_process, install_can
+from hil_sim.buses.can.virtual import VirtualCan, install_can
+from hil_sim.buses.in_process import in_process
 from hil_sim.buses.media import CanBus, EdgeDatagrams, I2cBus, PulseLine
 from hil_sim.faults import Fault, FaultPlan
 from tests.hil_sim.buses.test_media import Sink

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from drivers.ports import CanFrame
-from hil_sim.buses.slcan import SlcanAdapter
+from hil_sim.buses.can.slcan import SlcanAdapter
 
 
 class Terminal:

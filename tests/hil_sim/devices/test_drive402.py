@@ -15,7 +15,7 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 from canopen.profiles.p402 import BaseNode402
 from hypothesis import given
 
-from hil_sim.buses.in_process import VirtualCan
+from hil_sim.buses.can.virtual import VirtualCan
 from hil_sim.buses.media import CanBus
 from hil_sim.devices.canopen.drive402 import Drive402
 from hil_sim.faults import Fault, FaultError, FaultPlan

@@ -8,7 +8,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given
 
-from hil_sim.buses.in_process import VirtualCan
+from hil_sim.buses.can.virtual import VirtualCan
 from hil_sim.buses.media import CanBus
 from hil_sim.devices.can_bus.frame_length import frame_bits
 from hil_sim.devices.canopen.loadcell404 import LoadCell404

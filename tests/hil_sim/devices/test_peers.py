@@ -11,10 +11,10 @@ import pytest
 import smbus2
 
 from drivers.ports import CanFrame
+from hil_sim.buses.can.slcan import SlcanAdapter
+from hil_sim.buses.can.virtual import VirtualCan
 from hil_sim.buses.i2c_dev import install_i2c
-from hil_sim.buses.in_process import VirtualCan
 from hil_sim.buses.media import CanBus, I2cBus, PulseLine
-from hil_sim.buses.slcan import SlcanAdapter
 from hil_sim.devices.mpu6050.chip import Mpu6050Twin
 from tests.hil_sim.devices.serial_bench import RealTime
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, SmallMission, StairImu
