@@ -29,6 +29,7 @@ _WORDS = {1: "an array's length is not that of the results", 2: "no memory"}
 _SIGNATURES = {  # all end with the results and their number
     "heft_chain": (_ARRAY, _INT, _ARRAY, _ARRAY, _ARRAY, _ARRAY),
     "heft_bodies": (_ARRAY, _ARRAY, _ARRAY),
+    "heft_rows": (_ARRAY, _INT, *[_ARRAY] * 6, _INT, _ARRAY, _INT, _ARRAY, _ARRAY, _INT, _ARRAY),
     "heft_sums": (_INT, _INT, _INT, _ARRAY, _ARRAY),
     "heft_move": (_ARRAY, _ARRAY, _FLOAT, _ARRAY, ctypes.c_int),
     "heft_predict_base": (*[_ARRAY] * 5, _INT, _ARRAY, _FLOAT, _ARRAY, ctypes.c_int),
@@ -56,7 +57,6 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_alone": (*[_ARRAY] * 3, _INT, *[_ARRAY] * 2),
     "heft_pairs": (_INT, _INT, *[_ARRAY] * 4, _FLOAT, _ARRAY),
     "heft_scaled": (_INT, *[_ARRAY] * 3),
-    "heft_scaled_derive": (_INT, *[_ARRAY] * 4, _INT),
 }
 
 

@@ -1,27 +1,26 @@
-"""Columns of the links' parameters for all rows, from one Pinocchio call per tick (Limparis 2.115, 2.132).
+"""Columns of the links' parameters for all rows, by the compiled core (Limparis 2.115, 2.132).
 
-Pinocchio's joint torque regressor is linear in the ten parameters of each *joint's* body, about the joint's frame. Its
-row of a joint's velocity is that joint's torque row, and its first six rows are the wrench on each body about the
-base's origin, in base axes. A link is a part of its joint's body, so its columns are those of the body times a constant
-matrix; and the wrench through any cut is the sum over the links beyond, moved to the cut's frame.
+A row is a component of the wrench through a cut: the sum over the links beyond it of what each needs to move as it
+does, which is linear in its ten standard parameters.
 
 Only requested combinations of columns are computed: a :class:`Fold`, made once of a matrix ``mix``, represents ``Y @
 mix``. Known parameters can thus be left out of the rows or summed into one column.
 """
 
+import ctypes
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from onboard.dynamics.kinematics import Chain, cross
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.inertia import moved_to
-from onboard.dynamics.model.vehicle import FREE_FLYER_NV, VehicleModel
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import crf, force_transforms, own_inertias, times
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.native import library
 
 
 class Projected(Protocol):
@@ -46,16 +45,9 @@ class Projected(Protocol):
 class _Cut(NamedTuple):
     """Rows through one frame."""
 
-    frame: int
     rows: slice | NDArray[np.intp]
-    velocities: (
-        slice | NDArray[np.intp] | None
-    )  # rows of Pinocchio's regressor that are these rows, for a joint's torque
-    projection: FloatArray  # (rows here, 6); on the wrench about the base's origin where the frame is fixed in the base
-    fixed: bool
     coasting: bool
-    columns: BoolArray  # (10 x links,) of the links beyond
-    links: IndexArray  # these
+    links: IndexArray  # beyond
     own: FloatArray  # (rows here, 6) projection on the wrench at the frame, in its axes
     body: int  # that the frame is fixed to
     axes: FloatArray  # (3, 3) the frame's in that body's
@@ -78,7 +70,7 @@ def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
 class Fold(NamedTuple):
     """Prepared combination ``Y[:, links] @ mix``: one matrix per cut, with and without the payload."""
 
-    held: tuple[FloatArray, ...]  # (10 x bodies, c) each
+    held: tuple[FloatArray, ...]  # (10 x links beyond the cut, c) each
     released: tuple[FloatArray, ...]
     columns: int
 
@@ -107,15 +99,12 @@ class WrenchColumns:
     """
 
     def __init__(self, vehicle: VehicleModel, rows: Sequence[Projected]) -> None:
-        self._model, self._data = vehicle.model, vehicle.model.createData()
-        self._rows = len(rows)
-        self._bodies = body_parameters(vehicle)
+        self._tree, self._rows = vehicle.tree.compiled, len(rows)
         self._chi, self._payload = vehicle.chi, vehicle.payload_columns()
         groups: dict[tuple[str, bool], list[int]] = {}
         for index, row in enumerate(rows):
             groups.setdefault((row.frame, row.coasting), []).append(index)
         self._cuts = [self._cut(vehicle, rows, *key, mine) for key, mine in groups.items()]
-        self._coasting = sorted({cut.coasting for cut in self._cuts})
         self.whole = self.fold(np.eye(10 * len(vehicle.links)))
 
     def _cut(
@@ -124,26 +113,11 @@ class WrenchColumns:
         index, beyond = vehicle.frame_id(name), vehicle.distal_links(name)
         if not beyond:
             raise UrdfError(f"nothing with mass hangs beyond {name!r}; measure elsewhere or give a link inertia")
-        columns = np.zeros(10 * len(vehicle.links), bool)
-        for link in beyond:
-            columns[10 * link : 10 * link + 10] = True
-        projection = own = np.array([rows[row].projection for row in mine])
-        frame = self._model.frames[index]
-        velocities = None
-        for joint in vehicle.joints:
-            axis = np.concatenate([[0.0] * 3, joint.axis] if joint.revolute else [joint.axis, [0.0] * 3])
-            if joint.name == name and (projection == axis).all():
-                velocities = np.full(len(mine), joint.v_index)
-        fixed = int(frame.parentJoint) == 1
-        if fixed:
-            projection = projection @ frame.placement.toActionMatrix().T
-            if (projection == np.eye(FREE_FLYER_NV)[np.abs(projection).argmax(axis=1)]).all():
-                velocities = np.abs(projection).argmax(axis=1)
-        places = None if velocities is None else _as_slice(velocities)
+        own = np.array([rows[row].projection for row in mine], np.float64)
+        frame = vehicle.model.frames[index]
         place, body = frame.placement, int(frame.parentJoint) - 1  # Pinocchio's joint 1 is the base's
-        at = body, np.array(place.rotation), np.array(place.translation)
-        links = np.array(beyond, np.intp)
-        return _Cut(index, _as_slice(np.array(mine)), places, projection, fixed, coasting, columns, links, own, *at)
+        at = body, np.array(place.rotation, order="C"), np.array(place.translation)
+        return _Cut(_as_slice(np.array(mine)), coasting, np.array(beyond, np.int64), own, *at)
 
     def fold(self, mix: FloatArray) -> Fold:
         """Prepare a combination of the columns for repeated evaluation.
@@ -153,41 +127,42 @@ class WrenchColumns:
         """
         without = mix.copy()
         without[self._payload] = 0.0
+        columns = mix.shape[1]
         held, released = (
-            tuple(self._bodies @ (cut.columns[:, None] * part) for cut in self._cuts) for part in (mix, without)
+            tuple(part.reshape(-1, 10, columns)[cut.links].reshape(-1, columns) for cut in self._cuts)
+            for part in (mix, without)
         )
-        return Fold(held, released, mix.shape[1])
+        return Fold(held, released, columns)
 
-    def make(self, fold: Fold, held: BoolArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    def make(
+        self, fold: Fold, held: BoolArray, q: FloatArray, dq: FloatArray, ddq: FloatArray, base: Sequence[FloatArray]
+    ) -> FloatArray:
         """The columns of ``fold`` at n ticks, (n, rows, c) (Limparis 2.132).
 
         Args:
             fold: which.
             held: (n,) whether the payload is.
-            q: Pinocchio's configurations, (n, nq), the base at the origin.
-            v: velocities, (n, nv), the base's linear one zero.
-            a: accelerations, (n, nv), the base's linear one its specific force.
+            q: joint positions, (n, joints).
+            dq: joint rates, (n, joints).
+            ddq: joint accelerations, (n, joints).
+            base: its rate, angular acceleration and specific force, (n, 3) each.
         """
-        out = np.empty((len(q), self._rows, fold.columns))
-        for coasting in self._coasting:
-            if coasting:
-                a = a.copy()
-                a[:, :3] = 0.0
-            body, placements = self._regressors(q, v, a)
-            for number, cut in enumerate(self._cuts):
-                if cut.coasting != coasting:
-                    continue
-                if cut.velocities is not None:
-                    part = body[:, cut.velocities]
-                else:
-                    G = cut.projection if cut.fixed else cut.projection @ placements[cut.frame]
-                    part = G @ body[:, :FREE_FLYER_NV]
-                if held.all():
-                    out[:, cut.rows] = part @ fold.held[number]
-                else:
-                    made = part @ fold.released[number]
-                    made[held] = part[held] @ fold.held[number]
-                    out[:, cut.rows] = made
+        n, joints = q.shape
+        out = np.empty((n, self._rows, fold.columns))
+        kept = [library.given(part, n, joints) for part in (q, dq, ddq)] + [library.given(part, n, 3) for part in base]
+        moving, all_held = [library.address(part) for part in kept], bool(held.all())
+        for cut, of_held, of_released in zip(self._cuts, fold.held, fold.released, strict=True):
+            motion = [*moving[:-1], None if cut.coasting else moving[-1]]
+            own = len(cut.own), library.address(cut.own), cut.body, library.address(cut.axes)
+            beyond = library.address(cut.origin), len(cut.links), library.address(cut.links)
+            part = np.empty((n, len(cut.own), 10 * len(cut.links)))
+            library.call("heft_rows", ctypes.byref(self._tree), n, *motion, *own, *beyond, out=part)
+            if all_held:
+                out[:, cut.rows] = part @ of_held
+            else:
+                made = part @ of_released
+                made[held] = part[held] @ of_held
+                out[:, cut.rows] = made
         return out
 
     def unit_force(self, held: BoolArray, chain: Chain) -> FloatArray:
@@ -234,17 +209,3 @@ class WrenchColumns:
             on_each[:, cut.links == payload] *= held[:, None, None]
             out[:, cut.rows] = times(cut.in_base(chain), on_each.sum(axis=1))
         return out
-
-    def _regressors(self, q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, dict[int, FloatArray]]:
-        """Pinocchio's regressor at each tick, (n, nv, 10 x bodies), and the moving cuts' matrices, (n, 6, 6) each."""
-        model, data = self._model, self._data
-        body = np.empty((len(q), model.nv, self._bodies.shape[0]))
-        moving = [cut.frame for cut in self._cuts if cut.velocities is None and not cut.fixed]
-        placements = {frame: np.empty((len(q), 6, 6)) for frame in moving}
-        for tick in range(len(q)):
-            body[tick] = pin.computeJointTorqueRegressor(model, data, q[tick], v[tick], a[tick])
-            if moving:
-                pin.forwardKinematics(model, data, q[tick])
-                for frame in moving:
-                    placements[frame][tick] = pin.updateFramePlacement(model, data, frame).toActionMatrix().T
-        return body, placements

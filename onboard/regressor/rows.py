@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.vehicle import FREE_FLYER_NQ, FREE_FLYER_NV, STANDARD, VehicleModel
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray, hat
 from onboard.regressor.columns import Fold, WrenchColumns
 from onboard.regressor.friction import COLUMNS, Motor, ratios_of
@@ -227,7 +227,6 @@ class RowModel:
         self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
         self.chi.setflags(write=False)
         self._columns = WrenchColumns(vehicle, self.rows)
-        self._turning = [(k, joint.q_index) for k, joint in enumerate(vehicle.joints) if joint.q_size == 2]
 
     def fold(self, mix: FloatArray) -> RowFold:
         """Prepare a combination of the columns for repeated use in :meth:`regressor`.
@@ -278,10 +277,9 @@ class RowModel:
         held = np.ones(n, bool) if attached is None else np.asarray(attached, bool)
         if held.shape != (n,):
             raise SignalError(f"{held.size} flags for {n} ticks; say for each tick whether the payload is held")
-        states = self._states(position, velocity, acceleration, motion)
-        if not all(math.isfinite(np.vdot(state, state)) for state in states):
+        if not all(math.isfinite(np.vdot(part, part)) for part in parts):
             raise SignalError("motion must be finite; leave invalid ticks out before building rows")
-        made = self._columns.make(self._columns.whole if fold is None else fold.links, held, *states)
+        made = self._columns.make(self._columns.whole if fold is None else fold.links, held, *parts[:3], motion)
         own = made.shape[2] if fold is None else self.vehicle.chi.size
         if own == len(self.names):
             return made
@@ -322,24 +320,3 @@ class RowModel:
             held: (n,) whether the payload is.
         """
         return self._columns.readings(chi, held, chain_motion(self.vehicle, q, dq, ddq), force)
-
-    def _states(
-        self, q: FloatArray, dq: FloatArray, ddq: FloatArray, motion: BaseMotion
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Pinocchio's (q, v, a): base at the origin, at rest for this instant, accelerating by the specific force."""
-        n, model = q.shape[0], self.vehicle.model
-        q_full, v_full, a_full = np.zeros((n, model.nq)), np.zeros((n, model.nv)), np.zeros((n, model.nv))
-        q_full[:, FREE_FLYER_NQ - 1] = 1.0  # unit quaternion x, y, z, w
-        v_full[:, 3:FREE_FLYER_NV] = motion.rate_rad_s
-        a_full[:, :3] = motion.specific_force_m_s2
-        a_full[:, 3:FREE_FLYER_NV] = motion.acceleration_rad_s2
-        if self._turning:
-            straight = [(k, joint.q_index) for k, joint in enumerate(self.vehicle.joints) if joint.q_size == 1]
-            for column, index in straight:
-                q_full[:, index] = q[:, column]
-            for column, index in self._turning:
-                q_full[:, index], q_full[:, index + 1] = np.cos(q[:, column]), np.sin(q[:, column])
-        else:
-            q_full[:, FREE_FLYER_NQ:] = q
-        v_full[:, FREE_FLYER_NV:], a_full[:, FREE_FLYER_NV:] = dq, ddq  # a joint has one velocity each, in their order
-        return q_full, v_full, a_full

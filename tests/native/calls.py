@@ -30,6 +30,7 @@ from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
+from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, joint_torque_row
 from onboard.timebase import polygon
 from tests.native.vehicles import PERIOD_s, on_table, predicted_from, random_case, random_predictor, random_suspects
 
@@ -57,8 +58,11 @@ def outcomes(seed):
     bodies = Bodies.of(chain.links, case.vehicle.chi, *rng.normal(size=(2, n, 6)))
     inverse, (still, start) = np.eye(3) + 0.1 * rng.normal(size=(n, 3, 3)), rng.normal(size=(2, n, 3))
     momentum = rate_of_momentum(inverse, still, start[0], PERIOD_s)
-    scaled, by = Scaled(np.arange(10), rng.normal(size=(1, 10))), rng.normal(size=(3, 12))
-    scaled.derive(by, rng.normal(size=12))
+    linear = Scaled(np.arange(10), rng.normal(size=(1, 10))).linear(rng.normal(size=12))
+    own = RowModel(
+        case.vehicle, [*base_force_rows(case.vehicle), joint_torque_row(case.vehicle, joint, friction=False)]
+    )
+    rows = own.regressor(*case.corrected[:3], BaseMotion(*rng.normal(size=(3, n, 3))))
     corners = polygon.moved(polygon.box(-3.0, 5.0, 2.0, 4.0), (0.3, 0.1), rng.normal(size=(2, 2)), [(1.0, 0.2, 4.0)])
     angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 40))
     wide = polygon.widen(np.stack([5.0 * np.cos(angles), np.sin(angles)], axis=1), 1e-3, 1e-3)
@@ -82,7 +86,8 @@ def outcomes(seed):
         *slid,
         bodies.parts,
         *momentum,
-        by,
+        linear,
+        rows,
         corners,
         wide,
         *polygon.moments(wide),
@@ -128,6 +133,7 @@ def fuzz_once(seed):
     )
     motion = [spoiled(part) for part in case.readings[:3]]
     attempt(chain_motion, case.vehicle, *motion, spoiled(case.of_joints[:, :3]))
+    attempt(RowModel(case.vehicle, base_force_rows(case.vehicle)).regressor, *motion, BaseMotion(*map(spoiled, motion)))
     chain = case.chain
     frames = Frames(*map(spoiled, chain.links))
     attempt(lambda: Bodies.of(frames, spoiled(chi), spoiled(np.ones((len(motion[0]), 6))), None))
@@ -167,9 +173,7 @@ def fuzz_once(seed):
     )
     attempt(cut.predict, base)
     attempt(rate_of_momentum, spoiled(np.ones((6, 3, 3))), spoiled(np.ones((6, 3))), spoiled(np.ones(3)), PERIOD_s)
-    scaled, by = Scaled(rng.integers(0, 14, 10), np.ones((1, 10))), spoiled(np.ones((4, 12)))
-    attempt(scaled.linear, spoiled(np.ones(12)))
-    attempt(scaled.derive, by, np.ones(by.shape[-1] if by.ndim else 1))
+    attempt(Scaled(rng.integers(0, 14, 10), np.ones((1, 10))).linear, spoiled(np.ones(12)))
     corners = spoiled(rng.normal(size=(int(rng.integers(0, 60)), 2)))
     segments, cuts = (
         rng.normal(size=(int(rng.integers(0, 4)), 2)),

@@ -136,6 +136,9 @@ void link_columns(const double R[9], const double p[3], const double V[6], const
 
 /* The parameters s of a body in the drawing by its errors z, (10,) each; see onboard...free_flyer.prediction.scaled */
 void scaled_body(const double drawn[10], const double factor[10], const double z[10], double s[10]);
+/* Derivatives by s, (rows, states), in place those by z, which stand at (10 bodies,) */
+int scaled_derivatives(i64 bodies, const double *drawn, const double *factor, const double *z, const i64 *at, i64 states,
+                       double *by, i64 size);
 
 /* An IMU along a motion, at p with axes R. Out: values (n - 2, 6), their derivatives by its errors (n - 2, 6, ERRORS), by
  * its place (n - 2, 6, 3); by_motion (n, apart, total), its six lines, gets those of an instant by what the motion
@@ -157,8 +160,6 @@ static inline double tick_mean(double c, const double *at, i64 apart) {
 }
 
 /* Functions of Python that others of the library call, too */
-int heft_scaled_derive(i64 bodies, const double *drawn, const double *factor, const double *z, const i64 *at, i64 states,
-                       double *by, i64 size);
 int heft_plus(i64 columns, const double *values, const double *by, const double *more, double *out, i64 size);
 int heft_corrected(const heft_readings *r, double period_s, double *work, double *out, i64 size);
 int heft_chain(const heft_tree *t, i64 n, const double *q, const double *dq, const double *ddq, const double *offsets,

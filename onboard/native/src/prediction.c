@@ -280,8 +280,8 @@ HEFT_API int heft_linked(const heft_predictor *m, i64 n, i64 total, const double
     for (i64 k = 0; k < 10 * uncertain; k++) z[k] = state[m->bodies[k]];
     for (i64 k = 0; k < p; k++) to.carried[k] = (to.carried[k] + state[k]) - linear[k], more[k] = 0.0;
     for (i64 k = 0; k < m->pushes; k++) more[m->push[k]] = state[m->push[k]];
-    int code = heft_scaled_derive(uncertain, m->drawn, m->factor, z, m->bodies, p, to.jacobian, values * p);
-    if (!code) code = heft_scaled_derive(uncertain, m->drawn, m->factor, z, m->bodies, p, to.transition, m->changing * p);
+    int code = scaled_derivatives(uncertain, m->drawn, m->factor, z, m->bodies, p, to.jacobian, values * p);
+    if (!code) code = scaled_derivatives(uncertain, m->drawn, m->factor, z, m->bodies, p, to.transition, m->changing * p);
     if (!code) code = heft_plus(p, to.values, to.jacobian, more, to.values, values);
     for (i64 k = 0; k < m->changing; k++) linear[k] = to.carried[m->changes[k]];
     if (!code) code = heft_plus(p, linear, to.transition, more, linear, m->changing);

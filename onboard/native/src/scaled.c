@@ -39,9 +39,8 @@ HEFT_API int heft_scaled(i64 bodies, const double *drawn, const double *factor, 
     return HEFT_OK;
 }
 
-/* Derivatives by s, (rows, states), in place those by z, which stand at (10 bodies,) */
-HEFT_API int heft_scaled_derive(i64 bodies, const double *drawn, const double *factor, const double *z, const i64 *at,
-                                i64 states, double *by, i64 size) {
+int scaled_derivatives(i64 bodies, const double *drawn, const double *factor, const double *z, const i64 *at, i64 states,
+                       double *by, i64 size) {
     if (states < 1 || size % states) return HEFT_SIZE;
     for (i64 k = 0; k < 10 * bodies; k++)
         if (at[k] < 0 || at[k] >= states) return HEFT_SIZE;

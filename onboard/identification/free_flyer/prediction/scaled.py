@@ -18,7 +18,6 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.native import library
-from onboard.native.errors import ArrayError
 
 
 class Scaled:
@@ -42,20 +41,6 @@ class Scaled:
     def linear(self, state: FloatArray) -> FloatArray:
         """The state, (p,), with s in place of z."""
         linear, z = state.copy(), state[self.at]
-        linear[self.at] = library.call("heft_scaled", *self._given(z), out=np.empty(z.size))
+        own = len(self.drawn[0]), *(library.address(part) for part in (*self.drawn, z))
+        linear[self.at] = library.call("heft_scaled", *own, out=np.empty(z.size))
         return linear
-
-    def derive(self, by: FloatArray, state: FloatArray) -> None:
-        """Make derivatives by s, (..., p), those by z, in place.
-
-        Raises:
-            ArrayError: they do not lie row by row.
-        """
-        if not by.flags.c_contiguous or by.shape[-1] != len(state):
-            raise ArrayError(f"derivatives by {len(state)} unknowns are needed, row by row")
-        z = state[self.at]
-        library.call("heft_scaled_derive", *self._given(z), library.address(self.at), len(state), out=by)
-
-    def _given(self, z: FloatArray) -> tuple[int | None, ...]:
-        """The bodies, and their errors, which the caller keeps."""
-        return len(self.drawn[0]), *(library.address(part) for part in (*self.drawn, z))
