@@ -168,6 +168,9 @@ def _of_items(annotation: Any) -> Any:
 
 def _model_of(annotation: Any, value: Any) -> type[BaseModel] | None:
     """The class in an annotation that reads a table: of several, the one whose literals (a kind) the table has."""
+    if (section_of := getattr(annotation, "section_of", None)) is not None:  # by its kind
+        named: type[BaseModel] | None = section_of(value)
+        return named
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         literals = {
             k: get_args(f.annotation) for k, f in annotation.model_fields.items() if get_origin(f.annotation) is Literal

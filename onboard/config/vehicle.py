@@ -1,13 +1,14 @@
 """The vehicle file: its sections, and the parsed file."""
 
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 from urllib.parse import parse_qs, urlsplit
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+from pydantic_core.core_schema import CoreSchema, no_info_plain_validator_function
 
 from drivers.play.player import PlayerConfig
 from onboard.config.bases.free_body import FreeBody
@@ -39,11 +40,43 @@ _ELSEWHERE, BROKEN_BASES = from_elsewhere(
 )
 BASES.update(_ELSEWHERE)
 UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmission time counts as none
+
+
+@cache
+def _sections(only: type[DeviceSection] | None) -> TypeAdapter[DeviceSection]:
+    """Reads tables of one kind; None: of every kind, and says of another what it could be."""
+    which = DEVICES.values() if only is None else [only]
+    return TypeAdapter(Annotated[Union[tuple(which)], Field(discriminator="kind")])  # type: ignore[arg-type]  # noqa: UP007
+
+
+class _OfItsKind:
+    """A device's table, by the module of its kind: the others are not imported."""
+
+    @staticmethod
+    def section_of(table: Any) -> type[DeviceSection] | None:
+        """The class that reads it; None: none does."""
+        kind = table.get("kind") if isinstance(table, dict) else getattr(table, "kind", None)
+        return DEVICES.get(kind) if isinstance(kind, str) else None
+
+    @classmethod
+    def read(cls, table: Any) -> DeviceSection:
+        """A table as its section."""
+        return _sections(cls.section_of(table)).validate_python(table)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_plain_validator_function(cls.read)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return handler(_sections(None).core_schema)
+
+
 if TYPE_CHECKING:
     AnyDevice = DeviceSection
     BaseName = str
-else:  # the kinds that the registry has found
-    AnyDevice = Annotated[Union[tuple(DEVICES.values())], Field(discriminator="kind")]  # noqa: UP007
+else:  # the kinds that the registry finds
+    AnyDevice = Annotated[Any, _OfItsKind]
     BaseName = Literal[tuple(BASES)]
 
 

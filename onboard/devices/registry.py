@@ -5,13 +5,16 @@ A package that is installed beside heft names its kinds in its ``pyproject.toml`
     [project.entry-points."heft.devices"]
     wind_vane = "vanes.device:WindVaneDevice"
 
+A module is imported when a kind of it is asked for: it is named like the kind, or as the kind begins.
 Unusable kinds of other packages are kept in ``BROKEN`` with the reason: a vehicle with such a device is refused with
 it; others are not affected.
 """
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Iterable, Iterator
+from collections import ChainMap
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cached_property
 from importlib import metadata
 from typing import Any, Literal, get_args, get_origin
 
@@ -29,14 +32,38 @@ def kind_of(section: object) -> str | None:
     return str(get_args(said)[0]) if get_origin(said) is Literal else None
 
 
-def _packaged() -> Iterator[tuple[str, type[DeviceSection]]]:
-    for found in pkgutil.walk_packages(devices.__path__, f"{devices.__name__}."):
-        if found.name != __name__:
-            module = importlib.import_module(found.name)
-            for section in vars(module).values():
-                kind = kind_of(section)
-                if kind is not None and section.__module__ == module.__name__:
-                    yield kind, section
+class _Packaged(Mapping[str, type[DeviceSection]]):
+    """The kinds in the modules of ``onboard.devices``."""
+
+    @cached_property
+    def _modules(self) -> list[str]:
+        found = pkgutil.walk_packages(devices.__path__, f"{devices.__name__}.")
+        return [one.name for one in found if one.name != __name__]
+
+    @cached_property
+    def _every(self) -> dict[str, type[DeviceSection]]:
+        return dict(sorted(pair for module in self._modules for pair in _in_module(module)))
+
+    def __getitem__(self, kind: str) -> type[DeviceSection]:
+        if "_every" not in vars(self):
+            for module in self._modules:
+                name = module.rpartition(".")[2]
+                if f"{kind}_".startswith(f"{name}_") and kind in (found := dict(_in_module(module))):
+                    return found[kind]
+        return self._every[kind]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._every)
+
+    def __len__(self) -> int:
+        return len(self._every)
+
+
+def _in_module(name: str) -> Iterator[tuple[str, type[DeviceSection]]]:
+    for section in vars(importlib.import_module(name)).values():
+        kind = kind_of(section)
+        if kind is not None and section.__module__ == name:
+            yield kind, section
 
 
 def from_elsewhere(
@@ -72,6 +99,6 @@ def from_elsewhere(
     return found, broken
 
 
-_PACKAGED = dict(sorted(_packaged()))
+_PACKAGED = _Packaged()
 _ELSEWHERE, BROKEN = from_elsewhere(metadata.entry_points(group=GROUP), _PACKAGED)
-DEVICES: dict[str, type[DeviceSection]] = {**_PACKAGED, **_ELSEWHERE}
+DEVICES: Mapping[str, type[DeviceSection]] = ChainMap(_ELSEWHERE, _PACKAGED)  # type: ignore[arg-type]  # none is added

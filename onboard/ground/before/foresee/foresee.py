@@ -6,11 +6,9 @@ from onboard import config
 from onboard.ground.before.foresee.free import foresee_free
 from onboard.ground.before.foresee.pivot import foresee_pivot
 from onboard.ground.before.foresee.plan import Expected, Foreseen, MotionPlan
-from onboard.ground.before.foresee.planar import foresee_planar
 from onboard.ground.before.foresee.rows import foresee_rows
 from onboard.identification.standing import LEVELS
 
-PREDICTED = {config.Prediction.PLANAR: foresee_planar, config.Prediction.PIVOT: foresee_pivot}  # all others: as free
 _MOST_TICKS = 100_000  # of all motions of the base
 
 
@@ -27,8 +25,12 @@ def foresee(vehicle: config.Vehicle, plan: MotionPlan, *, coarse: bool = False) 
         SignalError: a motion with which nothing can be predicted.
         EstimationError: something that nothing tells.
     """
+    if vehicle.prediction is config.Prediction.PLANAR:
+        from onboard.ground.before.foresee.planar import foresee_planar  # noqa: PLC0415 - it brings in heft identify
+
+        return foresee_planar(vehicle, plan)
     if vehicle.prediction is not config.Prediction.ROWS:
-        return PREDICTED.get(vehicle.prediction, foresee_free)(vehicle, plan)
+        return (foresee_pivot if vehicle.prediction is config.Prediction.PIVOT else foresee_free)(vehicle, plan)
     most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next
     return _over(foresee_rows(vehicle, plan.by_base()[:most], coarse=coarse))
 

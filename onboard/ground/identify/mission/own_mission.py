@@ -16,7 +16,6 @@ from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
-from onboard.ground.identify.identify import BY_LIKELIHOOD
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
@@ -62,6 +61,8 @@ def after_the_run(vehicle: config.Vehicle, log: LogReader) -> tuple[dict[str, Ro
         vehicle: that flew.
         log: of the run.
     """
+    from onboard.ground.identify.identify import BY_LIKELIHOOD  # noqa: PLC0415 - of all that are estimated in flight
+
     found = BY_LIKELIHOOD[vehicle.prediction](vehicle, log)
     refused = "" if found.verdict.level is not Level.DO_NOT_USE else f"do not use: {'; '.join(found.verdict.reasons)}"
     names = {f"{kind}_{vehicle.file.vehicle.payload_link}": unit for kind, unit in zip(BODY, BODY_UNITS, strict=True)}

@@ -8,6 +8,7 @@ import pytest
 from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.mission import Mission
 from onboard import config
+from onboard.ground.identify import identify
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.mission import own_mission
 from onboard.identification.standing import Level
@@ -29,7 +30,7 @@ def test_what_a_run_determines_and_what_stays_weak(monkeypatch, reasons):
     answers = () if reasons else FOUND
     each = standings(answers, Useful())
     found = Identified(Path("run.mcap"), "exiddm", answers, 100, {}, (), verdict, standings=each)
-    monkeypatch.setitem(own_mission.BY_LIKELIHOOD, "planar", lambda *_: found)
+    monkeypatch.setitem(identify.BY_LIKELIHOOD, "planar", lambda *_: found)
     rows, runs = own_mission.after_the_run(VEHICLE, None)
     assert runs == []
     assert len(rows) == (10 if reasons else 11)
