@@ -112,8 +112,8 @@ class ScalarStream(SerialDevice, Generic[Channel_t]):
             self._report.gap(host_ns, channel, self._next, last, duration_ns, cause, counted=counted)
         self._next += lost
 
-    def _lose_at_end(self, now_ns: int, last_ns: int, cause: str = "") -> None:
+    def _lose_at_end(self, now_ns: int, last_ns: int) -> None:
         """At a stop: what is missing since the last frame, which came at ``last_ns``."""
         silent_ns = now_ns - last_ns
         if self._was_down or self._misses_its_end(silent_ns, self._frame_ns):
-            self._lose(now_ns, int(silent_ns / self._frame_ns), cause)
+            self._lose(now_ns, int(silent_ns / self._frame_ns))

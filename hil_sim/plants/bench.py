@@ -32,9 +32,9 @@ ASKEW_rad = 4e-3  # of a body that hangs by two strings
 HANGS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], np.float64)
 
 
-def gravity_m_s2(latitude_deg: float = LATITUDE_deg) -> float:
-    """Normal gravity on the WGS 84 ellipsoid (Somigliana)."""
-    s = np.sin(np.deg2rad(latitude_deg)) ** 2
+def gravity_m_s2() -> float:
+    """Normal gravity on the WGS 84 ellipsoid (Somigliana) at the bench."""
+    s = np.sin(np.deg2rad(LATITUDE_deg)) ** 2
     return float(9.7803253359 * (1.0 + 0.00193185265241 * s) / np.sqrt(1.0 - 0.00669437999013 * s))
 
 

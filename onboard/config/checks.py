@@ -187,8 +187,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
 
 def _check_drawing(vehicle: Vehicle, fail: Fail) -> None:
     """The URDF, and the vehicle file's entries for its links and joints."""
-    told, label = vehicle.file.vehicle, str(vehicle.urdf_path)
-    flies = not all(device.kind.startswith("recorded_") for device in vehicle.file.device.values())
+    told, label, flies = vehicle.file.vehicle, str(vehicle.urdf_path), not vehicle.is_recorded
     try:
         drawing = require_flyable(vehicle.urdf_text, told.base_kind, told.payload_link, label, simulated=flies)
     except DrawingError as error:

@@ -209,6 +209,11 @@ class Vehicle(BaseModel):
         return self.path.parent / self.file.vehicle.urdf if self.urdf is None else self.urdf
 
     @property
+    def is_recorded(self) -> bool:
+        """Whether each device is a recorded one: the vehicle does not fly."""
+        return all(device.kind.startswith("recorded_") for device in self.file.device.values())
+
+    @property
     def prediction(self) -> Prediction:
         """By what its flights are estimated."""
         file = self.file

@@ -3,6 +3,7 @@
 A gate never changes a value: it returns reasons, which are combined with ``|`` and logged beside the row.
 """
 
+from collections.abc import Mapping
 from enum import IntFlag
 
 import numpy as np
@@ -35,6 +36,22 @@ def reasons(refused: ArrayLike, reason: GateReason) -> ReasonArray:
     """``reason`` where ``refused``, (n,) bool, is true; 0 elsewhere."""
     found: ReasonArray = np.multiply(np.asarray(refused, bool), int(reason), dtype=np.int64)
     return found
+
+
+def none_refused() -> dict[GateReason, int]:
+    """How many rows each reason refused, before there are any."""
+    return {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+
+
+def count_refused(refused: dict[GateReason, int], found: ReasonArray) -> None:
+    """Add the rows that each reason of ``found`` refused."""
+    for reason in refused if found.any() else ():
+        refused[reason] += int(np.count_nonzero(found & int(reason)))
+
+
+def named_refusals(refused: Mapping[GateReason, int]) -> dict[str, int]:
+    """The reasons that refused any, by name."""
+    return {str(reason.name).lower(): count for reason, count in refused.items() if count}
 
 
 def window_contains(times_s: ArrayLike, bad: ArrayLike, at_s: ArrayLike, width_s: float) -> BoolArray:

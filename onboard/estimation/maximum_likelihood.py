@@ -68,15 +68,21 @@ def covariance_of(jacobian: FloatArray, prior_information: FloatArray) -> FloatA
     return inverse_of(jacobian.T @ jacobian + prior_information)
 
 
+def _scale_of(information: FloatArray) -> FloatArray:
+    """Roots of an information's diagonal, (p,). Raises SingularError: of a parameter that nothing depends on."""
+    scale: FloatArray = np.sqrt(np.diag(information))
+    if not (scale > 0.0).all():
+        raise SingularError(f"nothing measured depends on {np.sum(~(scale > 0.0))} of {len(scale)} parameters")
+    return scale
+
+
 def inverse_of(information: FloatArray) -> FloatArray:
     """Inverse of a positive definite information matrix of any units, (p, p).
 
     Raises:
         SingularError: a direction without information.
     """
-    scale = np.sqrt(np.diag(information))
-    if not (scale > 0.0).all():
-        raise SingularError(f"nothing measured depends on {np.sum(~(scale > 0.0))} of {len(scale)} parameters")
+    scale = _scale_of(information)
     try:
         factor = cho_factor(information / np.outer(scale, scale))
     except LinAlgError as error:
@@ -189,7 +195,7 @@ class Descent:
         """The next iteration, from ``at``."""
         self.best, self._now, self._beyond, self._wall = self.at, now, 0, np.inf
         self.iteration += 1
-        scale = self._scale(now)
+        scale = _scale_of(now.information)
         try:
             factor = cho_factor(now.information / np.outer(scale, scale))
             self._newton = -cho_solve(factor, now.gradient / scale) / scale
@@ -204,7 +210,7 @@ class Descent:
 
     def _back(self) -> None:
         """Take the step from the best point back, and try a shorter one."""
-        scale = self._scale(self._now)
+        scale = _scale_of(self._now.information)
         scaled = self._now.information / np.outer(scale, scale)
         least = np.linalg.eigvalsh(scaled)[0] if self._damping < 1.0 else 1.0  # at most: ones are on the diagonal
         self._damping = max(self._damping * 10.0, 10.0 * float(least))
@@ -213,16 +219,9 @@ class Descent:
             raise ConvergenceError("no step, however short, lowers the sum of squares")
         self._promised = self._step(self._now, self._damping)
 
-    @staticmethod
-    def _scale(now: Normal) -> FloatArray:
-        scale = np.sqrt(np.diag(now.information))
-        if not (scale > 0.0).all():
-            raise SingularError(f"nothing measured depends on {np.sum(~(scale > 0.0))} of {len(scale)} parameters")
-        return scale
-
     def _step(self, now: Normal, damping: float) -> float:
         """Go on from ``at``, where these are the normal equations; the decrease under the linear model."""
-        scale = self._scale(now)
+        scale = _scale_of(now.information)
         with np.errstate(invalid="ignore"):
             scaled, downhill = now.information / np.outer(scale, scale), -now.gradient / scale
             try:

@@ -17,7 +17,7 @@ These are ``sum w`` at least, which is at least ``sum a / (1 + e)``: no more squ
 are no more than expected.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import chdtrc, chdtri
 
 from onboard.estimation.arrays import ROUNDING, FloatArray
-from onboard.estimation.policy import DOUBT, REFUSE, of_each, sigmas
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, of_each, sigmas
 
 DOUBTFUL = sigmas(of_each(DOUBT))  # of one
 _LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
@@ -146,3 +146,15 @@ def doubtful(corrections: Mapping[str, float], scale: str = "of its stated sigma
         for name, away in corrections.items()
         if low < abs(away) <= high
     )
+
+
+def misfit_text(instrument: str, misfit: float) -> str:
+    """Words of the mean square of an instrument's residuals, over its noise."""
+    return f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise"
+
+
+def misfit_texts(misfits: Iterable[tuple[str, float]]) -> tuple[list[str], list[str]]:
+    """Reasons of refusal, and for a weak verdict, by the mean squares of residuals over the noise, by instrument."""
+    large = [(misfit, misfit_text(name, misfit)) for name, misfit in misfits if misfit > MISFIT_DOUBTED]
+    refused = [text for misfit, text in large if misfit > MISFIT_REFUSED]
+    return refused, [text for misfit, text in large if misfit <= MISFIT_REFUSED]

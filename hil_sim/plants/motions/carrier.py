@@ -142,13 +142,13 @@ class CarrierMotion(NamedTuple):
 
 
 class _Sum:
-    """Running sums of rows (n, k) from chunk to chunk, and of all before each."""
+    """Running sums of rows (n, 3) from chunk to chunk, and of all before each."""
 
-    def __init__(self, columns: int) -> None:
-        self._last = np.zeros(columns)
+    def __init__(self) -> None:
+        self._last = np.zeros(3)
 
     def to(self, rows: FloatArray) -> FloatArray:
-        """Sums to each row, (n, k)."""
+        """Sums to each row, (n, 3)."""
         out: FloatArray = np.cumsum(np.concatenate([self._last[None], rows]), axis=0)[1:]
         self._last = out[-1].copy()
         return out
@@ -185,7 +185,7 @@ class CarrierMaker:
         if scenario.air is not None:
             self._gusts = Gusts(scenario.air, step_s, count, rng)
             self._wind_rad = rng.uniform(0.0, 2.0 * np.pi)
-        self._turned, self._twisted, self._moved, self._way = (_Sum(3) for _ in range(4))
+        self._turned, self._twisted, self._moved, self._way = (_Sum() for _ in range(4))
         self._attitude = np.array([1.0, 0.0, 0.0, 0.0])
         self._halfway = np.zeros((0, 6))  # velocity half a step before the next row
         self._first_m: FloatArray | None = None  # of the way, at the first row
@@ -274,7 +274,7 @@ class CarrierMaker:
 
 def _mean_twist(shaking: Shaking, step_s: float, count: int) -> FloatArray:
     """Mean of the rates (3,) that the vibration alone would give: the structure does not turn on the whole."""
-    twisted, total = _Sum(3), _Sum(3)
+    twisted, total = _Sum(), _Sum()
     for begin in range(0, count, CHUNK):
         found = total.to(twisted.before(shaking.angular(min(CHUNK, count - begin)), step_s, np.zeros(3)))
     return np.asarray(found[-1] / count)

@@ -17,6 +17,7 @@ from onboard.config.checks import check
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.gates import named_refusals
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
@@ -151,11 +152,8 @@ def identify(
         vehicle = throws.with_carrier(vehicle, by_log[alone[0]], empty)
         more += (f"what carries the loads is as {', '.join(log.name for log in alone)} shows it",)
     pools, found = dict[str, Identifier](), []
-    flies = not all(
-        device.kind.startswith("recorded_") for device in vehicle.file.device.values()
-    )  # answers are its own
     for reader, load in zip(readers, loads, strict=True):
-        about = None if load is None or flies else _settled(vehicle, reader)
+        about = None if load is None or not vehicle.is_recorded else _settled(vehicle, reader)
         if by_likelihood is None:
             found.append(_one(vehicle, reader, load, about))
         else:
@@ -200,7 +198,7 @@ def _one(
         if channel == "quantity":
             last = rows
     online, who = estimator.online, estimator.identifier  # the selected one, where instruments are redundant
-    refused = {str(reason.name).lower(): count for reason, count in who.refused.items() if count}
+    refused = named_refusals(who.refused)
     if last is None:
         nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
         none = throws.throw(vehicle, load, who) if load else None

@@ -6,7 +6,7 @@ uncertain, the other links, the IMU's errors and its clock. The maximum likeliho
 and reaches the Cramer-Rao bound. (The non-linear ExIDDM that Limparis proposes as further research; momentum equations
 2.84-2.93, 3.6-3.8.)
 
-A kind of base (:mod:`onboard.identification.free_flyer.free_base`, :mod:`onboard.identification.table.air_bearing`)
+A kind of base (:mod:`onboard.identification.free_flyer.free_base`, :mod:`onboard.identification.table.floating_base`)
 contributes the prediction of its motion; unknowns, residuals, prior, guesses and held-out halves are common.
 
 Known limit: the joints' noise is modelled on a table only; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.

@@ -13,10 +13,10 @@ from onboard.dynamics.model.vehicle import STANDARD
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.gates import GateReason, ReasonArray, count_refused, none_refused
 from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text, tails
 from onboard.identification.change import Change
-from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, too_large
+from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, misfit_text, too_large
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.free_flyer.before_capture import Payload
@@ -93,7 +93,7 @@ class MotionIdentifier:
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
         self.rows_used = 0
-        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self.refused = none_refused()
         self._captured = CapturedBody(ekf)
         self._causes = Causes(keys_of(ekf.predictor), ekf.predictor.sigma, [NOISE_KEY])
         self._corrections = HeldAgainst(ekf.predictor, ekf.fusion, ekf.rivals.spanned)
@@ -136,8 +136,7 @@ class MotionIdentifier:
             first = last
         self._mixed = None
         self._tell_of_capture(ticks)
-        for reason in self.refused if found.any() else ():
-            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        count_refused(self.refused, found)
         self._count(glitches)
         return found
 
@@ -261,7 +260,7 @@ class MotionIdentifier:
             for name, ratio in slow.by_sensor(REFUSE).items()
             if ratio > MISFIT_PART
         )
-        doubts = [f"residuals of the {name} are {ratio**0.5:.1f} times its noise" for name, ratio in off.items()]
+        doubts = [misfit_text(name, ratio) for name, ratio in off.items()]
         doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
         doubts += [_ALTERED] * self.ekf.altered + self._of_trackers(found)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]

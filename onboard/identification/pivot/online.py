@@ -10,8 +10,8 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import AGAIN, MISFIT_DOUBTED, MISFIT_REFUSED
-from onboard.identification.corrections import contradicted, doubtful, together
+from onboard.estimation.policy import AGAIN
+from onboard.identification.corrections import contradicted, doubtful, misfit_texts, together
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
@@ -196,11 +196,8 @@ class PivotRun(TableRun):
         bad, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
         doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]
         doubts += self._unchecked(sigma[scales], left[np.ix_(scales, scales)])
-        for sensor, misfit in zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True):
-            if misfit > MISFIT_DOUBTED:
-                said = f"residuals of the {sensor} are {misfit**0.5:.1f} times its noise"
-                (bad if misfit > MISFIT_REFUSED else doubts).append(said)
-        return Findings(tuple(bad), tuple(doubts))
+        larger, large = misfit_texts(zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True))
+        return Findings((*bad, *larger), (*doubts, *large))
 
     def _unchecked(self, sigma: FloatArray, left: FloatArray) -> list[str]:
         """Which wheels' scales the data tell too little of, together or one by one: the stated ones are not checked.

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
-from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate
+from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, count_refused, none_refused
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -138,7 +138,7 @@ class Identifier:
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
         self.rows_used, self._inflation, self.innovation = 0, 1.0, np.zeros((0, len(rows)))
-        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self.refused = none_refused()
         instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
         self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
         self.about: FloatArray | None = None
@@ -222,9 +222,7 @@ class Identifier:
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         if self.suspects is not None:
             self.suspects.weigh(self.rls.solve().mean, self.correlation, self.seen)
-        if found.any():
-            for reason in self.refused:
-                self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        count_refused(self.refused, found)
         return found
 
     def finish(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.gates import ReasonArray, count_refused, none_refused
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.online import rows_of
 from onboard.identification.free_flyer.prediction.further import Further
@@ -36,13 +36,12 @@ class TableRun:
         self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
         self.quantity_names: tuple[str, ...] = ()
         self.rows_used = 0
-        self.refused: dict[GateReason, int] = {reason: 0 for reason in GateReason if reason is not GateReason.OK}
+        self.refused = none_refused()
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Gates new ticks."""
         found = gated(signals, excluded)
-        for reason in self.refused:
-            self.refused[reason] += int(np.count_nonzero(found & int(reason)))
+        count_refused(self.refused, found)
         return found
 
     def finish(self) -> None:

@@ -21,6 +21,19 @@ class Chance:
         return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
 
 
+def score_of(gradient: FloatArray, own: FloatArray, spread: FloatArray, least: float) -> tuple[float, int]:
+    """:func:`squares_of` of a score, (k,), with covariance ``spread``, in units of its own information's roots.
+
+    Args:
+        gradient: the score.
+        own: its information, (k, k).
+        spread: covariance, of the same unit.
+        least: variance, as a share of the information.
+    """
+    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
+    return squares_of(gradient / scale, spread / np.outer(scale, scale), least)
+
+
 def squares_of(gap: FloatArray, covariance: FloatArray, least: float) -> tuple[float, int]:
     """``g' S^-1 g`` over the principal directions of S with a variance above ``least``, and their number.
 

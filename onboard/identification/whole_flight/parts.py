@@ -21,7 +21,7 @@ from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import FlightFit, NormalEquations, total_of
-from onboard.identification.whole_flight.chance import Chance, squares_of
+from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
 
 PAYLOAD = slice(0, 10)
@@ -126,8 +126,7 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) 
         noise[block.columns] += block.noise
     doubt = across @ found.correction.sigma - NOISE_SIGMA * noise[PAYLOAD]
     S += np.outer(doubt, doubt)
-    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    squares, freedom = squares_of(some.gradient[PAYLOAD] / scale, S / np.outer(scale, scale), DETERMINED)
+    squares, freedom = score_of(some.gradient[PAYLOAD], own, S, DETERMINED)
     return Difference(squares / max(1.0, found.misfit), freedom, part)
 
 

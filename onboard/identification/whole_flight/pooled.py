@@ -24,7 +24,7 @@ from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, Normal, i
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import NormalEquations, misfit_by_instrument, total_of
-from onboard.identification.whole_flight.chance import Chance, squares_of
+from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import DETERMINED, PAYLOAD
 
@@ -203,7 +203,5 @@ def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Disagreement:
     """Score test: does the payload of one flight differ, all else common?"""
     across = part.S[PAYLOAD]
     own = across[:, PAYLOAD]
-    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    spread = (own - across @ P @ across.T) / np.outer(scale, scale)
-    squares, freedom = squares_of(part.s[PAYLOAD] / scale, spread, DETERMINED)
+    squares, freedom = score_of(part.s[PAYLOAD], own, own - across @ P @ across.T, DETERMINED)
     return Disagreement(squares / max(1.0, misfit), freedom)

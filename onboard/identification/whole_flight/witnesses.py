@@ -27,14 +27,12 @@ from onboard.estimation.maximum_likelihood import ROUNDS
 from onboard.estimation.policy import (
     DOUBT,
     LEAST_WEIGHT,
-    MISFIT_DOUBTED,
-    MISFIT_REFUSED,
     REFUSE,
     chance_text,
     of_each,
     tails,
 )
-from onboard.identification.corrections import contradicted, expected_sigma, too_large
+from onboard.identification.corrections import contradicted, expected_sigma, misfit_texts, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE
 from onboard.identification.free_flyer.suspects import counting, suspects_of
@@ -124,15 +122,11 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
         found: its fit.
         phase_at: code of the phase at a time, s.
     """
-    against, doubts = list[str](), list[str]()
     of_parts = differences(found, phase_at)
     refused, doubted = (of_each(budget, len(of_parts)) for budget in (REFUSE, DOUBT))
-    against += [one.text for one in of_parts if one.chance < refused]
-    doubts += [one.text for one in of_parts if refused <= one.chance < doubted]
-    for instrument, misfit in found.by_instrument.items():
-        if misfit > MISFIT_DOUBTED:
-            said = f"residuals of the {instrument} are {misfit**0.5:.1f} times its noise"
-            (against if misfit > MISFIT_REFUSED else doubts).append(said)
+    larger, large = misfit_texts(found.by_instrument.items())
+    against = [one.text for one in of_parts if one.chance < refused] + larger
+    doubts = [one.text for one in of_parts if refused <= one.chance < doubted] + large
     bodies = bodies_of(flight, found)
     if bodies.chance < of_each(DOUBT):
         said = f"links and joints are not as stated together ({chance_text(bodies.chance)})"

@@ -9,9 +9,7 @@ from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
-from onboard.identification.table.air_bearing import (
-    table_fit,
-)
+from onboard.identification.table.air_bearing import table_fit
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, PUCKS, TILT, WIDE, exact, vehicle
 

@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from onboard import config
 from onboard.config.vehicle import LinkSection
-from onboard.devices.recorded import RecordedDevice
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.inertia import RigidBody, symmetric
@@ -18,12 +17,12 @@ from onboard.dynamics.model.vehicle import STANDARD, VehicleModel, VehicleSpec
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
-from onboard.flight.estimate.problem.check_names import check_joints, check_thrusters
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
-from onboard.flight.estimate.problem.pivot import pivot_run
 from onboard.flight.estimate.problem.priors import (
     biases,
+    check_joints,
     check_springs,
+    check_thrusters,
     disturbance_prior,
     free_flyer_prior,
     geometry_prior,
@@ -48,7 +47,6 @@ from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.online import OnlineIdentifier
-from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
@@ -67,6 +65,9 @@ from onboard.regressor.rows import (
     joint_torque_row,
     load_cell_row,
 )
+
+if TYPE_CHECKING:
+    from onboard.identification.pivot.online import PivotRun
 
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
@@ -233,12 +234,14 @@ def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...
     return [names[one.name] for one in further if not isinstance(one, FurtherPose)]
 
 
-def build_pivot(vehicle: config.Vehicle) -> tuple[PivotRun, VehicleModel]:
+def build_pivot(vehicle: config.Vehicle) -> tuple["PivotRun", VehicleModel]:
     """The estimator of a vehicle on a spherical air bearing, and its model.
 
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
+    from onboard.flight.estimate.problem.pivot import pivot_run  # noqa: PLC0415 - few have it
+
     try:
         model = build_model(vehicle)
         check_joints(roles_of(vehicle), model)
@@ -334,7 +337,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
             suspects=row_suspects(vehicle, row_model, base, prior, considered),
-            recorded_apart=all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values()),
+            recorded_apart=vehicle.is_recorded,
         )
     except (ModelError, EstimationError) as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error

@@ -15,8 +15,6 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import (
     HALF,
     INTERVAL,
-    MISFIT_DOUBTED,
-    MISFIT_REFUSED,
     MOST_CONTRADICTED,
     contradicted_text,
 )
@@ -30,7 +28,7 @@ from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
-from onboard.identification.corrections import contradicted, doubtful, together
+from onboard.identification.corrections import contradicted, doubtful, misfit_texts, together
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import Evidence, standings_of, verdict
@@ -247,12 +245,8 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
     doubts = [*doubtful(each, _TOLD), *of_all.doubted()]
     if not model.weighed:
         doubts.append("nothing checks the thrusters' common force: weigh the body, give its mass and body.mass_sigma")
-    for sensor, misfit in zip(_SENSORS, found.by_sensor, strict=True):
-        if misfit > MISFIT_DOUBTED:
-            (bad if misfit > MISFIT_REFUSED else doubts).append(
-                f"residuals of the {sensor} are {misfit**0.5:.1f} times what is stated"
-            )
-    return Findings(tuple(bad), tuple(doubts))
+    larger, large = misfit_texts(zip(_SENSORS, found.by_sensor, strict=True))
+    return Findings((*bad, *larger), (*doubts, *large))
 
 
 def _by_window(model: BodyModel, fit: BodyFit) -> Iterator[tuple[str, float]]:

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.devices.recorded import RecordedDevice
 from onboard.dynamics.model.errors import ModelError, SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
+from onboard.estimation.gates import named_refusals
 from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
 from onboard.flight.estimate.estimation import SUFFIX
@@ -83,7 +83,7 @@ def identify_free_flyer(vehicle: config.Vehicle, log: LogReader) -> Identified:
     for _ in feed(estimator, log, AT_ONCE_s):
         pass
     flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached), recorder.jumps)
-    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+    refused = named_refusals(recorder.refused)
 
     def phase_at(time_s: float) -> int:
         return int(estimator.phase_at(np.array([round(1e9 * time_s)], np.int64))[0])
@@ -109,7 +109,7 @@ class _Flight:
         self._online, self._ticks, self._attached = online, ticks, attached
         self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
         self._held = settings.exiddm.held_at_start or settings.carried is not None
-        self._recorded = all(isinstance(one, RecordedDevice) for one in vehicle.file.device.values())
+        self._recorded = vehicle.is_recorded
         self._smoothing_s = 1e-3 * settings.smoothing_ms
 
     def identified(

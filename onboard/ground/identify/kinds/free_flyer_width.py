@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from onboard import config
-from onboard.devices.recorded import RecordedDevice
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, WIDTHS_ms, narrowest, with_settings
@@ -41,10 +40,9 @@ def with_chosen_width(
         log: its recording.
         identify: estimates from it; None where rows do.
     """
-    devices, settings = vehicle.file.device.values(), vehicle.file.estimation
-    recorded = all(isinstance(one, RecordedDevice) for one in devices)
+    settings = vehicle.file.estimation
     floats = vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
-    if identify is None or not floats or not recorded or "smoothing_ms" in settings.model_fields_set:
+    if identify is None or not floats or not vehicle.is_recorded or "smoothing_ms" in settings.model_fields_set:
         return ChosenWidth(vehicle)
     slowest_ms = 1e3 * max(signal.period_s for signal in roles_of(vehicle).signals.values())
     errors, tried = dict[float, float](), dict[float, Identified]()

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.devices.recorded import RecordedDevice
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import MISFIT_REFUSED
@@ -73,8 +72,7 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
         vehicle: whose file is that of the recording.
         log: a recording of angles and torques of all joints.
     """
-    devices = vehicle.file.device.values()
-    if vehicle.file.vehicle.base_kind.moves or not all(isinstance(one, RecordedDevice) for one in devices):
+    if vehicle.file.vehicle.base_kind.moves or not vehicle.is_recorded:
         return ""
     identifier, model = build_identifier(vehicle)
     rows, joints = identifier.model, [joint.name for joint in model.joints]

@@ -15,6 +15,7 @@ from onboard import config
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
+from onboard.estimation.gates import named_refusals
 from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
@@ -25,6 +26,7 @@ from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
 from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.identification.corrections import misfit_texts
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
@@ -71,7 +73,7 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
     ticks, period_s = Ticks.joined(recorder.ticks), 1.0 / vehicle.file.estimation.row_rate_hz
-    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+    refused = named_refusals(recorder.refused)
     kit = _Kit(online, Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)))
     runs = cut(ticks, period_s, settings)
     flown = [_Flown(run, _flight(kit, run)) for run in runs if not run.reason]
@@ -168,11 +170,7 @@ def _pooled(flown: Sequence[_Flown], best: _Flown) -> tuple[Pool, Pooled]:
 
 
 def _fitted(found: Pooled, doubts: tuple[str, ...]) -> CheckedFit:
-    against = tuple(
-        f"residuals of the {name} are {misfit**0.5:.1f} times its noise"
-        for name, misfit in found.by_instrument.items()
-        if misfit > MISFIT_REFUSED
-    )
+    against, _ = misfit_texts(found.by_instrument.items())
     return CheckedFit(
         found.payload,
         found.chi,
@@ -185,7 +183,7 @@ def _fitted(found: Pooled, doubts: tuple[str, ...]) -> CheckedFit:
         found.held_out,
         "a single run was not checked on another",
         {},
-        findings=Findings(against, doubts),
+        findings=Findings(tuple(against), doubts),
     )
 
 

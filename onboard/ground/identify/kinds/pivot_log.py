@@ -1,6 +1,7 @@
 """``heft identify`` of a run on a spherical air bearing: the onboard estimator's fit of all ticks."""
 
 from onboard import config
+from onboard.estimation.gates import named_refusals
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
@@ -29,7 +30,7 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
         IdentifiedQuantity(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
         for one, bound in zip(told, bounds.tolist(), strict=True)
     )
-    refused = {str(reason.name).lower(): count for reason, count in run.refused.items() if count}
+    refused = named_refusals(run.refused)
     evidence = Evidence(
         run.rows_used,
         refused,

@@ -11,7 +11,7 @@ import numpy as np
 
 from onboard import config
 from onboard.estimation.arrays import BoolArray
-from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.gates import GateReason, ReasonArray, named_refusals
 from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import uncorrelated_s
 from onboard.flight.estimate.answers import useful_of
@@ -26,7 +26,7 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.free_flyer.batch import PayloadFit
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
-from onboard.identification.table import air_bearing
+from onboard.identification.table import air_bearing, floating_base
 from onboard.identification.table.run import TableRun
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
@@ -80,7 +80,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
         roles_of(vehicle).imu.frame,
     )
     links, _, payload_sigma = free_flyer_prior(vehicle, model)
-    refused = {str(reason.name).lower(): count for reason, count in recorder.refused.items() if count}
+    refused = named_refusals(recorder.refused)
     ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
@@ -94,7 +94,7 @@ def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
     return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
 
 
-def table_prior(vehicle: config.Vehicle) -> air_bearing.AirBearingPrior:
+def table_prior(vehicle: config.Vehicle) -> floating_base.AirBearingPrior:
     """What is known of a run besides payload and links where it begins as the base is let go.
 
     Raises:
@@ -103,9 +103,9 @@ def table_prior(vehicle: config.Vehicle) -> air_bearing.AirBearingPrior:
     asked = vehicle.file.planar
     if asked is None:
         raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
-    pucks = {puck.frame: air_bearing.DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
+    pucks = {puck.frame: floating_base.DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
     known = asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, asked.sag_sigma
-    return air_bearing.AirBearingPrior(*known, imu_prior_of(vehicle))
+    return floating_base.AirBearingPrior(*known, imu_prior_of(vehicle))
 
 
 def ticks_together(vehicle: config.Vehicle) -> int:
@@ -115,12 +115,12 @@ def ticks_together(vehicle: config.Vehicle) -> int:
     return max(1, round(apart_s * settings.row_rate_hz))
 
 
-def underway(at_start: air_bearing.AirBearingPrior) -> air_bearing.AirBearingPrior:
+def underway(at_start: floating_base.AirBearingPrior) -> floating_base.AirBearingPrior:
     """The same where it begins later: the velocity is hardly known."""
     return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
 
 
-def _drags(found: PayloadFit, pucks: Mapping[str, air_bearing.DragPrior], wider: float) -> BaseResult:
+def _drags(found: PayloadFit, pucks: Mapping[str, floating_base.DragPrior], wider: float) -> BaseResult:
     """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
     drag = air_bearing.drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])

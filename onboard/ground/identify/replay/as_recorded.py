@@ -146,7 +146,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
     turns = vehicle.prediction is config.Prediction.PIVOT
     free = turns or vehicle.prediction in (config.Prediction.FREE, config.Prediction.PLANAR)
     thrown = vehicle.prediction is config.Prediction.ROWS and vehicle.file.free_body is not None
-    if not (carried or free or thrown) or not all(isinstance(one, RecordedDevice) for one in devices.values()):
+    if not (carried or free or thrown) or not vehicle.is_recorded:
         return RecordedVehicle(vehicle, ())
     found = dict[str, list[str]]()  # devices, by what the log says of them
     for name, device in devices.items():

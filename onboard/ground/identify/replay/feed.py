@@ -10,7 +10,6 @@ import numpy as np
 
 from drivers.records import Batch
 from onboard import config
-from onboard.devices.recorded import RecordedDevice
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
@@ -136,8 +135,7 @@ def feed_rows(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
         ChannelError: the log does not fit the vehicle.
     """
     file, who = estimator.vehicle.file, estimator.online
-    recorded = all(isinstance(device, RecordedDevice) for device in file.device.values())
-    if not recorded or file.free_body is not None or not isinstance(who, Identifier):
+    if not estimator.vehicle.is_recorded or file.free_body is not None or not isinstance(who, Identifier):
         return feed(estimator, log)
     who.batch_ticks = ceil(1e-3 * file.estimation.step_ms * file.estimation.row_rate_hz)
     return feed(estimator, log, AT_ONCE_s)
