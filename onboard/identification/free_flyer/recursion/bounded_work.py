@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.identification.free_flyer.prediction.joint_gaps import JointGaps
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.free_flyer.recursion.joint_gaps import JointGaps
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.regressor.signals import EncoderJump

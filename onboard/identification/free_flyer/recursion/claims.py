@@ -6,7 +6,7 @@ window and nothing held does not; a capture, if nothing held explains the window
 
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
-from onboard.identification.free_flyer.recursion.window import HeldPayload
+from onboard.identification.free_flyer.recursion.solved import HeldPayload
 
 _KINDS = {  # of a detected change, by what was held before and what explains the window after it
     (True, HeldPayload.NOTHING): "ejection",

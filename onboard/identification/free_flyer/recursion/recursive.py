@@ -28,9 +28,10 @@ from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import Exclusion, WindowProblem
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved, WindowSolve
+from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.recursion.windowed import SOLVED_AT_s, Windowed, WINDOWS_s
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.regressor.signals import EncoderJump

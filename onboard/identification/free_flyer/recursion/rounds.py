@@ -18,8 +18,9 @@ from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT
 from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
+from onboard.identification.free_flyer.recursion.solved import EXPLAINED, HeldPayload, Solved
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
-from onboard.identification.free_flyer.recursion.window import EXPLAINED, HeldPayload, Solved, WindowSolve
+from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.suspects import Rivals
 
 _NOTHING = WindowProblem(())

@@ -18,8 +18,8 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.recursion.solved import HeldPayload
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
-from onboard.identification.free_flyer.recursion.window import HeldPayload
 from onboard.identification.free_flyer.steps import Adds
 
 _EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept

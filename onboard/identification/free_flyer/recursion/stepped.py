@@ -23,8 +23,8 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import left_of
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
 _WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough

@@ -21,7 +21,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import REFUSE
 from onboard.identification.free_flyer.fusion import Fusion
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 
 _CLEARLY = -2.0 * math.log(REFUSE)  # squares by which a fit must be less strained than any other
 _DECIDES = 2  # windows before this one are too short to tell a payload from errors of a cell

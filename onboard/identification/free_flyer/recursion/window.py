@@ -11,7 +11,6 @@ predicts one piece of the window at a time and can be written to a checkpoint in
 from collections.abc import Iterator
 from enum import Enum
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,32 +20,22 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
 from onboard.estimation.maximum_likelihood import BEYOND, ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
-from onboard.estimation.policy import DOUBT, HALF, LEAST_WEIGHT, READING, REFUSE, of_each, sigmas
+from onboard.estimation.policy import DOUBT, HALF, READING
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
+from onboard.identification.free_flyer.prediction.joint_noise import correction_of
 from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
+from onboard.identification.free_flyer.recursion.solved import EXPLAINED, HeldPayload, Solved
 from onboard.identification.free_flyer.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 from onboard.regressor.free_rows import rough_payload
 
 _FEW = 0.03  # largest share of outliers
 _SETTLING = 8  # predictions to a minimum that the ticks determine: it takes 3 to 6
-EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
 _HOPELESS_AFTER = 3  # iterations from a guess after which it is judged whether they can get there
-_BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
-_GROWTH, _LONGEST = 1.5, 8.0  # of such a window
 _DRIVEN = 100.0  # by how much a window of flexible joints overstates its information: noise drives their bends
-
-
-class HeldPayload(Enum):
-    """Hypothesis on the payload during a window."""
-
-    NOTHING = "nothing held"
-    SAME = "the same payload"
-    NEW = "a payload of which nothing is known"
 
 
 class _Stage(Enum):
@@ -57,59 +46,10 @@ class _Stage(Enum):
     SETTLE_ROUGHLY = "to a nearly flat minimum"
 
 
-class Solved(NamedTuple):
-    """Solution of a window under one hypothesis."""
-
-    hypothesis: HeldPayload
-    start: FloatArray  # (p,) at its first tick
-    state: FloatArray  # (p,) at its last tick but one
-    covariance: FloatArray  # (p, p) of that
-    used: int  # ticks
-    glitches: int
-    strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
-    cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
-    residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
-    kept: FloatArray  # (p, p) covariance with which a filter goes on
-    steps: Changed  # inside it
-    noise_added: NoiseAdded  # by the joints' samples
-    corrected: FloatArray  # (p,) the state without what noise adds
-    evidence: float  # logarithm of the density of the readings, but for what is common to all hypotheses on the window
-
-    @property
-    def mass_sigma(self) -> float:
-        """Relative, of the payload's mass; infinite where that is not positive."""
-        mass, variance = self.state[PAYLOAD.start], self.covariance[PAYLOAD.start, PAYLOAD.start]
-        return float(np.sqrt(variance) / mass) if mass > 0.0 else np.inf
-
-    @property
-    def tells_mass(self) -> bool:
-        """The payload's mass is known so well that there is one."""
-        return HALF * self.mass_sigma < 1.0
-
-    @property
-    def has_mass(self) -> bool:
-        """The payload's mass may be positive; else the minimum is a wrong one."""
-        sigma = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
-        return bool(self.state[PAYLOAD.start] > -sigmas(LEAST_WEIGHT) * sigma)
-
-    def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
-        """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.
-
-        The decision must hardly depend on the estimated mass: where only windows with a large estimate were kept,
-        payloads of 0.1 to 0.2 kg became one sigma heavier.
-
-        Args:
-            length: of this one, in a length at which nothing has grown.
-            unknown_kg: sigma of the mass of a payload of which nothing is known.
-        """
-        sigma_kg = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
-        if sigma_kg >= _BEGUN * unknown_kg and not self.tells_mass:  # the arm is at rest
-            return False, 1.0
-        return True, min(_GROWTH * length, _LONGEST) if length < _LONGEST else 0.5 * _GROWTH * _LONGEST
-
-
 class WindowSolve:
     """The solution of a window of ticks with all joints known, under the first hypothesis that explains it.
+
+    Where that is of nothing held, the next one has to explain it no better than chance (:meth:`Solved.contradicts`).
 
     Attributes:
         over: there is nothing more to do.
@@ -154,6 +94,7 @@ class WindowSolve:
         self.left: FloatArray | None = None
         self._least = np.inf  # squares of the residuals of all instruments, of that fit
         self._left = list(hypotheses)
+        self._nothing: Solved | None = None  # explains the window, unless a payload does so much better
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
@@ -222,7 +163,7 @@ class WindowSolve:
         """Go on to the next hypothesis, or end."""
         use = np.isfinite(self._ticks.measured[1:-1])  # (n, m)
         if not self._left or use[:FIRST_TICKS, self._own.start].sum() < FIRST_TICKS // 2:
-            self.over, self._descent = True, None
+            self.found, self.over, self._descent = self._nothing, True, None
             return
         # whether the iteration moved what the ticks do not tell is yet to be checked
         self._hypothesis, self._use, self._glitches, self._checked = self._left.pop(0), use, 0, False
@@ -364,13 +305,17 @@ class WindowSolve:
         return True
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
-        """A result under the hypothesis: the solution if that explains the window."""
+        """A result under the hypothesis: the solution if that explains the window, or nothing held does."""
         solved = self._solution(fitted, whole)
-        if self._explains(fitted.residual_sum):
-            self.found, self.over, self._descent = solved, True, None
-            return
-        self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
-        self._begin()
+        if not self._explains(fitted.residual_sum):
+            self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
+            self._begin()
+        elif self._hypothesis is HeldPayload.NOTHING and self._left:
+            self._nothing, self._left = solved, self._left[:1]
+            self._begin()
+        else:
+            nothing = self._nothing is not None and not solved.contradicts(self._nothing)
+            self.found, self.over, self._descent = self._nothing if nothing else solved, True, None
 
     def _solution(self, fitted: Fit, whole: Pieces) -> Solved:
         (start, _), F, use = self._parted(self._problem.state(fitted.x)), whole.transition, self._use

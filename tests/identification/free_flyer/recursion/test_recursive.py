@@ -12,7 +12,8 @@ from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
-from onboard.identification.free_flyer.recursion.window import HeldPayload, WindowSolve
+from onboard.identification.free_flyer.recursion.solved import HeldPayload
+from onboard.identification.free_flyer.recursion.window import WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.free_flyer.recorded_flights import BIASES, PRIOR, WIDE, online, recorded, same_bits, ticks_of
 

@@ -14,8 +14,8 @@ from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredi
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
+from onboard.identification.free_flyer.recursion.solved import HeldPayload
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
-from onboard.identification.free_flyer.recursion.window import HeldPayload
 from tests.dynamics.free_flyer_twin import BOX
 from tests.identification.free_flyer.recorded_flights import BIASES, WIDE, online, recorded, ticks_of
 

@@ -13,8 +13,8 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.recursion.rounds import WindowRounds
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved
 
 ODDS, OF_PAYLOAD = 0.01, 20  # of what is likelier; steps from this number on are of the payload
 PART = 20, 21

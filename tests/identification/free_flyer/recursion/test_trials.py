@@ -6,8 +6,8 @@ import pytest
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved
 
 HYPOTHESES, NONE = (HeldPayload.SAME,), Changed.none(0)
 

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hil_sim.plants import free_flyer
+from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.estimation.maximum_likelihood import Descent
 from onboard.identification.evidence.bank import Bank, Changed
 from onboard.identification.evidence.bodies import CHANGES
@@ -14,7 +16,8 @@ from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.recursion import pieces
 from onboard.identification.free_flyer.recursion import window as windows
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
-from onboard.identification.free_flyer.recursion.window import HeldPayload, Solved, WindowSolve
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
+from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.steps import NO_STEPS, Steps, StepsTaken
 from onboard.identification.free_flyer.suspects import Rivals, suspects_of
 from tests.dynamics.free_flyer_twin import twin
@@ -303,3 +306,38 @@ def test_evidence_does_not_depend_on_how_large_noise_was_expected(rng):
     assert found[0] - found[1] == pytest.approx(10 * np.log(3.0))  # of the ten readings that were left out
     more = evidence_of(SimpleNamespace(squares=2.0 * squares), used, np.full((50, 3), 0.1), 2.0, informations)
     assert found[0] - more == pytest.approx(70 * np.log(2.0))
+
+
+def light(mass_kg, seed):
+    """Two seconds of a payload that is so light."""
+    rng = np.random.default_rng(seed)
+    body = free_flyer.Body.box(mass_kg, (0.06, 0.05, 0.05), (0.01, -0.02, 0.06))
+    motion, rate = free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3)
+    return recorded(free_flyer.fly(free_flyer.world(body), motion, rate, 2.0), rng, ImuErrors())
+
+
+def tried_after_nothing(flight, louder):
+    """Of a window whose noise is stated so many times too large: what explains it, and whether nothing held does."""
+    predictor, ticks = online(flight, imu_prior=PRIOR).predictor, ticks_of(flight)
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    ticks, solves = ticks._replace(sigma=louder * ticks.sigma), []
+    for hypotheses in ((HeldPayload.NOTHING,), (HeldPayload.NOTHING, HeldPayload.NEW)):
+        solves.append(WindowSolve(predictor, WIDE, ticks, prior, hypotheses, None))
+        while not solves[-1].over:
+            solves[-1].advance()
+    return solves[1].found, solves[0].found is not None
+
+
+def test_a_light_payload_counts_though_nothing_held_leaves_no_more_than_noise_over():
+    """To the squares of a thousand readings of noise it adds little, but no ten numbers take as much off noise."""
+    found, explained = tried_after_nothing(light(0.03, 3), 5.0)
+    assert explained
+    assert found.hypothesis is HeldPayload.NEW
+    assert found.state[PAYLOAD.start] == pytest.approx(0.03, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_nothing_is_held_no_payload_is_found(seed):
+    found, explained = tried_after_nothing(light(1e-4, seed), 1.0)
+    assert explained
+    assert found.hypothesis is HeldPayload.NOTHING

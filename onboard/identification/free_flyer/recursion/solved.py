@@ -1,0 +1,84 @@
+"""A window of ticks, solved under one hypothesis on the payload."""
+
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import HALF, LEAST_WEIGHT, REFUSE, of_each, sigmas
+from onboard.identification.evidence.bank import Changed
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+
+EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
+_BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
+_GROWTH, _LONGEST = 1.5, 8.0  # of such a window
+
+
+class HeldPayload(Enum):
+    """Hypothesis on the payload during a window."""
+
+    NOTHING = "nothing held"
+    SAME = "the same payload"
+    NEW = "a payload of which nothing is known"
+
+
+class Solved(NamedTuple):
+    """Solution of a window under one hypothesis."""
+
+    hypothesis: HeldPayload
+    start: FloatArray  # (p,) at its first tick
+    state: FloatArray  # (p,) at its last tick but one
+    covariance: FloatArray  # (p, p) of that
+    used: int  # ticks
+    glitches: int
+    strained: float  # squares of the deviations from the prior, and what the residuals' exceed chance by
+    cost: float  # squares of residuals and of deviations from the prior; of what was left out the least it can be
+    residual: FloatArray  # whitened, of the IMU that guesses are made of, (n, 6)
+    kept: FloatArray  # (p, p) covariance with which a filter goes on
+    steps: Changed  # inside it
+    noise_added: NoiseAdded  # by the joints' samples
+    corrected: FloatArray  # (p,) the state without what noise adds
+    evidence: float  # logarithm of the density of the readings, but for what is common to all hypotheses on the window
+
+    @property
+    def mass_sigma(self) -> float:
+        """Relative, of the payload's mass; infinite where that is not positive."""
+        mass, variance = self.state[PAYLOAD.start], self.covariance[PAYLOAD.start, PAYLOAD.start]
+        return float(np.sqrt(variance) / mass) if mass > 0.0 else np.inf
+
+    @property
+    def tells_mass(self) -> bool:
+        """The payload's mass is known so well that there is one."""
+        return HALF * self.mass_sigma < 1.0
+
+    @property
+    def has_mass(self) -> bool:
+        """The payload's mass may be positive; else the minimum is a wrong one."""
+        sigma = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
+        return bool(self.state[PAYLOAD.start] > -sigmas(LEAST_WEIGHT) * sigma)
+
+    def contradicts(self, nothing: "Solved") -> bool:
+        """Whether its payload takes off more of the squares than ten numbers take off noise where nothing is held.
+
+        Residuals alone hide a light payload: of a thousand readings it adds little to their squares.
+        """
+        taken_off = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(nothing.cost - self.cost, 0.0)))
+        return taken_off < EXPLAINED and bool(self.state[PAYLOAD.start] > 0.0)
+
+    def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
+        """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.
+
+        The decision must hardly depend on the estimated mass: where only windows with a large estimate were kept,
+        payloads of 0.1 to 0.2 kg became one sigma heavier.
+
+        Args:
+            length: of this one, in a length at which nothing has grown.
+            unknown_kg: sigma of the mass of a payload of which nothing is known.
+        """
+        sigma_kg = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
+        if sigma_kg >= _BEGUN * unknown_kg and not self.tells_mass:  # the arm is at rest
+            return False, 1.0
+        return True, min(_GROWTH * length, _LONGEST) if length < _LONGEST else 0.5 * _GROWTH * _LONGEST
