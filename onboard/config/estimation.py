@@ -255,6 +255,8 @@ class Estimation(Section):
     free, so that what differentiated encoders add at high frequencies does not hide slow motion.
     ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
     ``zero_force_sigma_m_s2``: constant error of the specific force after zeroing; estimated if given.
+    ``level_sigma_rad``: how far, by axis, gravity may be turned from where it is stated, of a fixed base whose joints'
+    torques are measured; estimated, 1 degree where silent.
     ``motor``: those of joint torques that turn with more than one joint, by name; each has parameters ``Ia_``, ``Fv_``
     and ``Fc_`` of its own.
     ``carried``: warm start from an earlier flight with the same payload.
@@ -274,6 +276,7 @@ class Estimation(Section):
     base_force_sigma_N: Positive = 0.1  # noqa: N815
     base_moment_sigma_N_m: Positive = 5e-4  # noqa: N815
     zero_force_sigma_m_s2: Positive | None = None
+    level_sigma_rad: NotNegative | None = None
     phases: Phases | None = None
     zero: Zero | None = None
     gates: Gates = Field(default_factory=Gates.model_construct)

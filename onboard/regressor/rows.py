@@ -186,6 +186,7 @@ class RowModel:
             Fc_<motor>``, then ``zero_force_x, _y, _z``.
         chi: prior values of the columns: the URDF's, zero for the extra ones.
         scales: row and column of each scale.
+        zero_force: the last three names, or none.
         motors: in the order of their columns.
 
     Raises:
@@ -221,8 +222,8 @@ class RowModel:
                 self._frictions += [(row, k, ratio, len(names)) for row, of in enumerate(joints) if of == joint]
             names += [f"{column}_{motor.name}" for column in COLUMNS]
         self._zero_force = len(names) if zero_force else None
-        if zero_force:
-            names += [f"zero_force_{axis}" for axis in "xyz"]
+        self.zero_force = tuple(f"zero_force_{axis}" for axis in "xyz" if zero_force)
+        names += self.zero_force
         self.names = tuple(names)
         self.chi = np.concatenate([vehicle.chi, np.zeros(len(names) - vehicle.chi.size)])
         self.chi.setflags(write=False)

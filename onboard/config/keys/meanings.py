@@ -111,6 +111,10 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "What zeroing leaves of a constant error of the specific force; estimated where given, and of a free body.",
             "the accelerometer is zeroed in flight",
         ),
+        "level_sigma_rad": _M(
+            "How far the base may lean, 1 sigma by axis; estimated, for a fixed arm by its torques; 0.0175 if silent.",
+            "the base was levelled, or stands on a floor that nobody did",
+        ),
         "phases": _M("Table: which phases of the mission are for identification."),
         "zero": _M("Table: where the accelerometer is zeroed."),
         "gates": _M("Table: which rows are refused."),

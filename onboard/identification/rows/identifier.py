@@ -240,7 +240,8 @@ class Identifier:
         Y = self.model.regressor(*joints, motion, attached[at], True, np.zeros(use.shape), self._fold, z)
         if self._scales:
             fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
-        rows = self.errors.biased(Y[..., :-1][use], self.base.names, signals, at, use, attached, self.about)  # (r, p)
+        asked = signals, at, use, attached
+        rows = self.errors.biased(Y[..., :-1][use], self.base.names, asked, self.about, self.rls)  # (r, p)
         y, sigma = (signals.measured[at] - Y[..., -1])[use], signals.sigma[at][use]  # (r,)
         doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
         if signals.noise is not None:
@@ -268,8 +269,7 @@ class Identifier:
         # Of a free base with these rows taken in, as the estimate before them may be the prior's.
         about = self.rls if self._corrections is None else self.rls.tried(rows, y, sigma)
         mean = about.solve().mean if self.about is None else self.about
-        D = self.errors.factors(signals, at, use, attached)
-        noisy = NoisyRows(rows, y, D, sigma, signals.sigma[at][use] * widening[kept], doubt)
+        noisy = NoisyRows(rows, y, self.errors.factors(*asked), sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
         rows, y, C, sigma, own, doubt = self.errors.at(noisy, mean)

@@ -236,9 +236,9 @@ def test_a_bias_acts_on_the_body_that_was_found_not_on_the_drawn(rng):
     biased = signals._replace(motion=signals.motion._replace(specific_force_m_s2=f + np.array([1e-3, 0.0, 0.0])))
     before, after = (who.errors.regressors([one], at, held)[0] @ [*heavier, 1.0] for one in (signals, biased))
     names, rows = [*who.base.names[1:], "zero_force_x"], np.zeros((np.count_nonzero(use), len(who.base.names)))
-    found = who.errors.biased(rows.copy(), names, signals, at, use, held, heavier)
+    found = who.errors.biased(rows.copy(), names, (signals, at, use, held), heavier, who.rls)
     assert not found[:, :-1].any()
-    assert not who.errors.biased(rows, names, signals, at, use, held, None).any()
+    assert not who.errors.biased(rows, names, (signals, at, use, held), None, who.rls).any()
     np.testing.assert_allclose(found[:, -1], ((before - after) / 1e-3)[use], rtol=1e-6, atol=1e-9)
 
 

@@ -121,7 +121,9 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
     payload, found = str(model.vehicle.spec.payload_link), list[Stated]()
     for column, name in enumerate(model.names):
         link = model.vehicle.links[column // 10] if column < 10 * len(model.vehicle.links) else ""
-        if name in prior.absolute or not link:
+        if name in model.zero_force:
+            found.append(Stated("level_sigma_rad", "level"))
+        elif name in prior.absolute or not link:
             found.append(Stated(f"prior.absolute.{name}", payload if link == payload else name.split("_")[0]))
         else:
             table = "link" if link in prior.link else "relative"

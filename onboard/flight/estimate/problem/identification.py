@@ -26,6 +26,7 @@ from onboard.flight.estimate.problem.priors import (
     disturbance_prior,
     free_flyer_prior,
     geometry_prior,
+    level_root,
     row_prior,
     tracker_of,
 )
@@ -306,9 +307,10 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows += base_force_rows(model)
         if "moment" in settings.base_rows:
             rows += base_moment_rows(model)
-        row_model = RowModel(model, rows, zero_force is not None, _motors(vehicle, roles))
-        offsets = {f"zero_force_{axis}": zero_force for axis in "xyz"} if zero_force else {}
-        prior = row_prior(settings.prior, row_model, {**offsets, **scales})
+        level = level_root(vehicle, roles) if zero_force is None else None
+        row_model = RowModel(model, rows, zero_force is not None or level is not None, _motors(vehicle, roles))
+        offsets = dict.fromkeys(row_model.zero_force, zero_force or 0.0)
+        prior = row_prior(settings.prior, row_model, {**offsets, **scales}, level)
         known = np.asarray(~prior.any(axis=1), np.bool_)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
         quantities: tuple[Quantity, ...] = ()

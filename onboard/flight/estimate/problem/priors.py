@@ -10,7 +10,7 @@ import numpy as np
 
 from onboard import config
 from onboard.config.methods import OF_A_FREE_BASE
-from onboard.devices.roles import Roles
+from onboard.devices.roles import Roles, TorqueKeys
 from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -27,6 +27,8 @@ UNTOLD_m_s2 = 4e-4
 # Of a free body's IMU: as heft init writes them for a free base. A consumer's chip over its temperatures, once zeroed:
 # the data sheet of the BMI088 has 0.2 mg/K and 0.015 deg/s/K, 50 and 33 K of which these are.
 UNTOLD_BIAS_m_s2, UNTOLD_BIAS_rad_s = 0.1, 8.7e-3
+# Of an arm's base: a degree, the general tolerance of angles of short sides (ISO 2768-1, class m); and g on the ground.
+UNTOLD_LEVEL_rad, _LOCAL_GRAVITY = 0.0175, 1.5e-3
 
 
 def free_flyer_prior(
@@ -51,22 +53,28 @@ def free_flyer_prior(
     return covariance, imu_prior_of(vehicle), payload_sigma
 
 
-def row_prior(stated: config.Prior, model: RowModel, further: Mapping[str, float]) -> FloatArray:
+def row_prior(
+    stated: config.Prior, model: RowModel, further: Mapping[str, float], level: FloatArray | None = None
+) -> FloatArray:
     """Root of the prior covariance of the standard parameters of rows, (P, P).
 
     Args:
         stated: the section of the file.
         model: of the rows.
         further: sigmas by column, besides those of the section.
+        level: root of the covariance of the last three, (3, 3), where their sigmas are not those (:func:`level_root`).
 
     Raises:
         ModelError: a sigma that is missing, stated twice, or of no link or column.
     """
     made = {name: LinkSigmas(*own.model_dump().values()) for name, own in stated.link.items()}
     try:
-        return prior_root(model, stated.relative, {**stated.absolute, **further}, made)
+        root = prior_root(model, stated.relative, {**stated.absolute, **further}, made)
     except ModelError as error:
         raise ModelError(f"[estimation.prior]: {error}") from error
+    if level is not None:
+        root[-3:, -3:] = level
+    return root
 
 
 def imu_prior_of(vehicle: config.Vehicle) -> ImuPrior:
@@ -92,6 +100,22 @@ def biases(vehicle: config.Vehicle) -> tuple[float | None, float]:
         silent = "accelerometer_bias_m_s2" not in keys.model_fields_set
         estimated = UNTOLD_BIAS_m_s2 if silent else keys.accelerometer_bias_m_s2 or None
     return estimated, gyro
+
+
+def level_root(vehicle: config.Vehicle, roles: Roles) -> FloatArray | None:
+    """Root of the covariance of a specific force that nothing measures, (3, 3) m/s^2, of an arm by its joints' torques.
+
+    A base that leans turns gravity, of the payload too; its magnitude is that of the place. None where a cell or an
+    IMU takes part, and where the base is stated to be level.
+    """
+    keys, stated = vehicle.file.vehicle, vehicle.file.estimation.level_sigma_rad
+    sigma_rad = UNTOLD_LEVEL_rad if stated is None else stated
+    by_torque = bool(roles.cells) and all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells)
+    if not (by_torque and sigma_rad) or roles.imus or keys.base_kind.moves:
+        return None
+    g = np.array(keys.gravity_m_s2)
+    along = np.outer(g, g) / (g @ g) if g.any() else np.zeros((3, 3))
+    return np.asarray(np.linalg.norm(g) * (sigma_rad * (np.eye(3) - along) + _LOCAL_GRAVITY * along), np.float64)
 
 
 def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:

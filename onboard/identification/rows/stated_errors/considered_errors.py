@@ -27,6 +27,9 @@ class Start(NamedTuple):
     sensitivity: FloatArray  # (p, k) to the considered parameters, which the covariance does not include
 
 
+Ticks = tuple[Signals, NDArray[np.intp], BoolArray, BoolArray]  # signals, which of theirs, rows in use, payload held
+
+
 class ConsideredErrors:
     """Considered errors of a model's rows.
 
@@ -62,25 +65,21 @@ class ConsideredErrors:
         return None if D is None else D.reshape(len(D), -1)
 
     def biased(
-        self,
-        rows: FloatArray,
-        names: Sequence[str],
-        signals: Signals,
-        at: NDArray[np.intp],
-        use: BoolArray,
-        attached: BoolArray,
-        mean: FloatArray | None,
+        self, rows: FloatArray, names: Sequence[str], of: Ticks, mean: FloatArray | None, rls: SquareRootRls
     ) -> FloatArray:
         """Rows (r, p) whose columns of a constant error of the specific force are of a body with parameters (p,).
 
-        The model's are of the body that is drawn, and stay where none is given. ``names``: of the columns.
+        The model's are of the body that is drawn, and stay where none is given but for an arm that stands: of that
+        they are as estimated so far, with what it holds. ``names``: of the columns; ``of``: as of :meth:`factors`.
         """
         axes = [axis for axis in range(3) if f"zero_force_{'xyz'[axis]}" in names]
+        if axes and mean is None and not self._model.vehicle.spec.base.moves:
+            mean = rls.solve().mean
         if mean is None or not axes:
             return rows
         errors = [Considered("", self._model.vehicle.spec.base_link, "accelerometer_bias", 1.0, axis=k) for k in axes]
-        asked = errors, self._model, signals, at, use, attached, self._p
-        D = columns(*asked, lambda each: self.regressors(each, at, attached))
+        _, at, _, attached = of
+        D = columns(errors, self._model, *of, self._p, lambda each: self.regressors(each, at, attached))
         assert D is not None
         rows[:, [names.index(f"zero_force_{'xyz'[axis]}") for axis in axes]] = D @ [*mean, 1.0]
         return rows
