@@ -29,9 +29,8 @@ def flown(frequency_Hz, step_s, seconds, tick_s=TICK_s):
     )
     velocity = np.array([0.0, 0.0, 0.0, 0.05, -0.03, 0.02])
     flight = VehicleFlight(model, motion, PLACES, "payload", step_s, velocity, soft=soft)
+    flight.alter(BOX)
     springs = [SpringPrior(k, 0.1, d, 0.5) for k, d in zip(soft.stiffness_N_m_rad, soft.damping_N_m_s_rad, strict=True)]
-    model.hold("payload", BOX)
-    flight._refresh()
     rows = flight.advance(round(seconds / step_s))
     seen = slice(None, None, round(tick_s / step_s))
     ddq = motion.at(tick_s * np.arange(len(rows.joints[seen])))[2]

@@ -13,6 +13,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
+from onboard.identification.free_flyer.prediction.further import PlacedImu, cuts_of
 from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.scaled import Scaled
@@ -154,7 +155,9 @@ def test_noise_of_the_joints(seed, free):
     predictor, rng = random_predictor(seed), np.random.default_rng(seed)
     vehicle, n, joints = predictor.vehicle, 23, len(predictor.vehicle.joints)
     q, sigma = rng.normal(size=(n, joints)), rng.uniform(0.0, 1.0, (2, n, 2, joints))
-    parts = JointErrors(vehicle), predictor._imus, [cut for _, cut in predictor._cells], predictor.lines, list(free)
+    imus = [PlacedImu(*vehicle.pose_in_base(frame), 10, *[slice(0)] * 2) for frame in predictor.imu_frames]
+    cuts = [cut for _, cut in cuts_of(vehicle, predictor.further, (), ())]
+    parts = JointErrors(vehicle), imus, cuts, predictor.lines, list(free)
     for found, one in zip(JointNoise(vehicle, *parts).of(q, vehicle.chi, *sigma), sigma, strict=True):
         same(found, of_noise.of(vehicle, *parts, q, vehicle.chi, one), SOLVED)
     assert not JointNoise(vehicle, *parts).of(q, vehicle.chi, 0.0 * sigma[0])[0].any()

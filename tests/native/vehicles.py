@@ -114,9 +114,9 @@ def predicted_from(predictor: ImuPredictor, seed: int) -> tuple[np.ndarray, ...]
     rng, n, joints = np.random.default_rng(seed), 4 + seed % 9, len(predictor.vehicle.joints)
     motion = rng.normal(size=(3, 1, joints)) + 0.1 * rng.normal(size=(3, n, joints))
     sigma = np.where(np.isnan(predictor.sigma), 0.1, predictor.sigma)
-    state, functions = sigma * rng.normal(size=len(sigma)), predictor._layout["cyclic"]
+    state = sigma * rng.normal(size=len(sigma))
     state[3:13] = [5.0, 0.15, -0.1, 0.4, 0.1, 0.001, 0.1, 0.01, 0.02, 0.1]
-    cyclic = rng.normal(size=(n, 3, functions.stop - functions.start))
+    cyclic = rng.normal(size=(n, 3, predictor.cyclic_slopes.shape[-1]))
     thrust = rng.normal(size=(n, len(predictor.thrusters)))
     return *motion, state, cyclic if seed % 3 else None, thrust if seed % 4 else None
 

@@ -127,10 +127,10 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
     )
 
 
-def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> MotionIdentifier:
+def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0, spanned: np.ndarray = NONE) -> MotionIdentifier:
     """An identifier whose filter holds a payload with these standard parameters, independent of each other.
 
-    ``moved``: a correction, in sigmas of what the data tell of it.
+    ``moved``: a correction, in sigmas of what the data tell of it. ``spanned``: what is weighed in every direction.
     """
     unknown = np.full(PAYLOAD.stop + 1, np.nan)
     predictor = sheet(unknown.copy(), [NONE], ("imu",), sigma=unknown)
@@ -149,7 +149,7 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0) -> MotionIde
             misfit=quiet,
             correction=correction_of(np.eye(13), NoiseAdded.none(13), np.ones(13)),
             corrected=lambda known: known,  # exact joints
-            rivals=SimpleNamespace(weighed=Once(), spanned=NONE),
+            rivals=SimpleNamespace(weighed=Once(), spanned=spanned),
             held=True,
             holds=True,
             altered=False,
@@ -216,10 +216,10 @@ def test_a_contradicted_correction_refuses_where_the_mass_is_known_and_is_a_doub
 
 
 def test_a_correction_that_is_weighed_in_every_direction_is_held_against_nothing_one_by_one() -> None:
-    online = unsure(np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3), moved=5.1)
+    given = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]), np.full(10, 1e-3), 5.1
+    online = unsure(*given)
     assert any("contradicts what is stated of unknown_13" in one for one in online.findings().against)
-    weighed = held_against.HeldAgainst(online.ekf.predictor, online.ekf.fusion, np.array([PAYLOAD.stop]))
-    online._corrections = weighed
+    online = unsure(*given, spanned=np.array([PAYLOAD.stop]))
     assert all("all corrections together" in one for one in online.findings().against)
 
 
