@@ -27,21 +27,20 @@ from scipy.linalg import lapack
 from scipy.special import stdtr
 
 from onboard.estimation.arrays import FloatArray, hat, scatter
-from onboard.estimation.calibration.rotations import rotation_vector, turn
+from onboard.estimation.calibration.wrist_model import (
+    CROSS,
+    UNKNOWNS,
+    Linearisation,
+    Priors,
+    elements,
+    linearised,
+    moved,
+    predicted,
+    values_of,
+)
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import READING
 
-FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
-UNKNOWNS = 45  # the mass is the first
-_OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
-_HATS = hat(np.eye(3))  # of the axes
-_AXES = np.arange(6)
-REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
-# Of scales and cross-talk, (36,): the reading, what of (m d, p x d) is taken, and times what.
-_READING = np.concatenate([_AXES, _OFF // 3, 3 + _OFF // 3, np.repeat(_AXES, 3)])
-_TAKEN = np.concatenate([_AXES, _OFF % 3, 3 + _OFF % 3, np.tile([3, 4, 5], 3), np.tile([0, 1, 2], 3)])
-_TIMES = np.repeat([1.0, 1.0 / REACH_m, REACH_m], [18, 9, 9])
-_SCALES_AND_CROSS = np.arange(SCALES.start, UNKNOWNS)
 _FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
 SPREADS = np.geomspace(0.5, 16.0, 16)  # of the scales, over what is stated: what all share their agreement hides
@@ -53,25 +52,7 @@ _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of 
 _ROUNDS = 25
 _CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
 _FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer than transducers resolve
-_LEVEL = [np.delete(np.eye(3), axis, axis=1) for axis in range(3)]
 _LOCAL = 9  # poses about one, whose median is the zero there
-
-
-class Priors(NamedTuple):
-    """What is known before.
-
-    Attributes:
-        gravity_m_s2: (3,) in base axes.
-        scale: 1 sigma of an axis' scale, relative.
-        tilt_rad: 1 sigma of the base's tilt about each horizontal axis.
-        mounting_rad: 1 sigma of the sensor's mounting about each axis.
-    """
-
-    gravity_m_s2: FloatArray
-    scale: float
-    tilt_rad: float
-    mounting_rad: float
-    spreads: tuple[float, ...] = (1.0,) * 6  # of the axes' scales, over ``scale``
 
 
 class Noise(NamedTuple):
@@ -80,30 +61,6 @@ class Noise(NamedTuple):
     sigma: FloatArray  # (6,) of a pose, N and N m
     walk: FloatArray  # (6,) of the zero from one pose to the next
     cross: float  # cross-talk, relative
-
-
-class Linearisation(NamedTuple):
-    """Where the model is linearised."""
-
-    mass: float
-    first_moment: FloatArray  # (3,)
-    mounting: FloatArray  # (3, 3) M
-    tilt: FloatArray  # (2,) rad, about the base's axes that are not gravity's
-    scales: FloatArray  # (6,)
-    cross: FloatArray  # (30,) X of forces and of moments without their diagonals, X' of forces and of moments
-
-    @property
-    def levers(self) -> tuple[FloatArray, FloatArray]:
-        """Readings by m d and by p x d, (6, 3) each: 1 + S + X, and X' with L."""
-        both = np.eye(6)
-        both[_READING, _TAKEN] += np.concatenate([self.scales, self.cross]) * _TIMES
-        return both[:, :3], both[:, 3:]
-
-    @property
-    def sensitivity(self) -> FloatArray:
-        """Readings by gravity in sensor axes, (6, 3)."""
-        of_weight, of_moment = self.levers
-        return self.mass * of_weight + of_moment @ hat(self.first_moment)
 
 
 class PoseFit(NamedTuple):
@@ -162,7 +119,7 @@ def fit(
     """
     if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
-    floor, turned = _floor(wrench), coefficients(_elements(R))
+    floor, turned = _floor(wrench), coefficients(elements(R))
     if begin is None:
         state = begun(R, wrench, prior)
         sigma = scatter(np.diff(wrench - predicted(R, state, prior), axis=0)) / np.sqrt(2.0)
@@ -170,7 +127,7 @@ def fit(
     else:
         one = _fit(R, wrench, prior, begin.state, begin.noise)
     for _ in range(rounds):
-        J = _linearised(one.state, prior)[1]
+        J = linearised(one.state, prior)[1]
         hanging = J.transpose(0, 2, 1) @ one.covariance @ J  # (6, 9, 9)
         noise = _noise(one, ((turned @ hanging) * turned).sum(axis=-1).T, prior, floor)
         change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
@@ -237,11 +194,6 @@ def interval(
     return middle, whole, end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))
 
 
-def predicted(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
-    """Readings without zeros, (n, 6)."""
-    return np.asarray(_in_frame(R, state, prior) @ (state.sensitivity @ state.mounting).T, np.float64)
-
-
 def outliers(R: FloatArray, wrench: FloatArray, prior: Priors) -> NDArray[np.bool_]:
     """Poses with a reading that no noise makes, (n,): by the closed form of the three quarters that agree best.
 
@@ -300,54 +252,9 @@ def begun(R: FloatArray, wrench: FloatArray, prior: Priors) -> Linearisation:
     return Linearisation(mass, p, M, np.zeros(2), np.zeros(6), np.zeros(30))
 
 
-def jacobian(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
-    """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
-    by = _linearised(state, prior)[1] @ _elements(R).T  # (6, 45, n)
-    return np.asarray(np.moveaxis(by, -1, 0), np.float64)
-
-
-def _linearised(state: Linearisation, prior: Priors) -> tuple[FloatArray, FloatArray]:
-    """:func:`predicted` and :func:`jacobian` by the elements of R', of which both are linear: (6, 9), (6, 45, 9)."""
-    level = _level(prior.gravity_m_s2)
-    down = _tilted(state, level) @ prior.gravity_m_s2
-    d = (state.mounting[:, :, None] * down).reshape(3, 9)  # gravity in sensor axes
-    (of_weight, of_moment), p = state.levers, hat(state.first_moment)
-    A = state.mass * of_weight + of_moment @ p
-    by = np.zeros((6, UNKNOWNS, 3))  # by d
-    by[:, 0] = of_weight
-    by[:, FIRST_MOMENT] = (of_moment @ _HATS).transpose(1, 0, 2)  # p x d = -d x p
-    by[:, MOUNTING] = (A @ _HATS).transpose(1, 0, 2)
-    by[_READING, _SCALES_AND_CROSS] = np.concatenate([state.mass * np.eye(3), p])[_TAKEN] * _TIMES[:, None]
-    J = by @ d
-    tilts = -(A @ state.mounting)[:, None, :, None] * (hat(down) @ level).T[:, None]  # (6, 2, 3, 3)
-    J[:, TILT] = tilts.reshape(6, 2, 9)
-    return A @ d, J
-
-
-def _elements(R: FloatArray) -> FloatArray:
-    """Of R', row by row, (n, 9)."""
-    return R.transpose(0, 2, 1).reshape(-1, 9)
-
-
 def coefficients(values: FloatArray) -> FloatArray:
     """Of the cosine transform over the poses (n, ...), without the constant, (n - 1, ...)."""
     return np.asarray(dct(values, axis=0, norm="ortho")[1:], np.float64)
-
-
-def _in_frame(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
-    """Gravity in the axes of the frame whose pose is given, (n, 3)."""
-    down = _tilted(state, _level(prior.gravity_m_s2)) @ prior.gravity_m_s2
-    return np.asarray(R.transpose(0, 2, 1) @ down, np.float64)
-
-
-def _tilted(state: Linearisation, level: FloatArray) -> FloatArray:
-    """The turn of the base by its tilt about two axes (3, 2), (3, 3)."""
-    return turn(level @ state.tilt)
-
-
-def _level(gravity: FloatArray) -> FloatArray:
-    """The two axes that a base tilts about, (3, 2): not the one nearest to gravity."""
-    return _LEVEL[int(np.abs(gravity).argmax())]
 
 
 def _medians(values: FloatArray) -> FloatArray:
@@ -378,19 +285,6 @@ def prior_sigmas(wrench: FloatArray, prior: Priors, cross: float) -> FloatArray:
     return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *scales, *[cross] * 30])
 
 
-def _values(state: Linearisation) -> FloatArray:
-    """The unknowns, (45,); of the mounting the rotation vector."""
-    mounting = rotation_vector(state.mounting)
-    return np.concatenate([[state.mass], state.first_moment, mounting, state.tilt, state.scales, state.cross])
-
-
-def moved(state: Linearisation, step: FloatArray) -> Linearisation:
-    """A state after a step of the unknowns, (45,)."""
-    M = turn(step[MOUNTING]) @ state.mounting
-    own = state.first_moment + step[FIRST_MOMENT], M, state.tilt + step[TILT], state.scales + step[SCALES]
-    return Linearisation(float(state.mass + step[0]), *own, state.cross + step[CROSS])
-
-
 def _eigenvalues(n: int) -> FloatArray:
     """Of the walk's information, without the constant, (n - 1,)."""
     return np.asarray(4.0 * np.sin(0.5 * np.pi * np.arange(1, n) / n) ** 2, np.float64)
@@ -405,23 +299,23 @@ def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: Linearisation,
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
     information = sigmas**-2.0
-    turned, read = coefficients(_elements(R)), coefficients(wrench)
+    turned, read = coefficients(elements(R)), coefficients(wrench)
     # The normal equations' sums over the poses, before the loop: readings are linear in R'.
     S = (turned.T[None] / spread.T[:, None]) @ turned  # (6, 9, 9)
     b = (turned.T @ (read / spread)).T  # (6, 9)
     for _ in range(_ROUNDS):
-        made, J = _linearised(state, prior)
+        made, J = linearised(state, prior)
         A = J.transpose(1, 0, 2).reshape(UNKNOWNS, 54)
         H = (J @ S).transpose(1, 0, 2).reshape(UNKNOWNS, 54) @ A.T
         gradient = A @ (b - (S @ made[..., None])[..., 0]).ravel()
         H.flat[:: UNKNOWNS + 1] += information
         unit = 1.0 / np.sqrt(H.diagonal())  # of very different units
         U = np.linalg.cholesky(H * unit * unit[:, None]).T
-        whitened, _ = lapack.dtrtrs(U, unit * (gradient - _values(state) * information), trans=1)
+        whitened, _ = lapack.dtrtrs(U, unit * (gradient - values_of(state) * information), trans=1)
         state = moved(state, unit * lapack.dtrtrs(U, whitened)[0])
         if np.abs(whitened).max() < _CLOSE:
             break
-    residual, off = wrench - predicted(R, state, prior), _values(state)
+    residual, off = wrench - predicted(R, state, prior), values_of(state)
     squares = float((coefficients(residual) ** 2 / spread).sum() + ((off / sigmas) ** 2).sum())
     volume = float(np.log(unit / np.diag(U)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration import wrist, wrist_model
 from onboard.estimation.policy import ODDS
 from onboard.ground.calibrate.weigh.conventions import Poses
 
@@ -32,7 +32,7 @@ class BodyChange(NamedTuple):
     nats: float
 
 
-def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> BodyChange | None:
+def change(poses: Poses, prior: wrist_model.Priors, whole: wrist.PoseFit) -> BodyChange | None:
     """The likeliest change of the body; None where none is likely.
 
     Args:
@@ -63,9 +63,9 @@ def change(poses: Poses, prior: wrist.Priors, whole: wrist.PoseFit) -> BodyChang
     )
 
 
-def _left(poses: Poses, prior: wrist.Priors, part: slice) -> FloatArray:
+def _left(poses: Poses, prior: wrist_model.Priors, part: slice) -> FloatArray:
     R, wrench = poses.R[part], poses.wrench[part]
-    left = wrench - wrist.predicted(R, wrist.begun(R, wrench, prior), prior)
+    left = wrench - wrist_model.predicted(R, wrist.begun(R, wrench, prior), prior)
     return np.asarray(left - left.mean(axis=0), np.float64)
 
 

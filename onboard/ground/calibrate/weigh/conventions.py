@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration import wrist_model
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -63,11 +63,11 @@ class Known(NamedTuple):
         )
 
     @property
-    def prior(self) -> wrist.Priors:
+    def prior(self) -> wrist_model.Priors:
         """For the fit."""
         down = np.array(self.down or DOWN, np.float64)
         gravity = self.place.gravity_m_s2 * down / np.linalg.norm(down)
-        return wrist.Priors(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
+        return wrist_model.Priors(gravity, self.scale, self.tilt_rad, _ANY_MOUNTING_rad)
 
 
 class Convention(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration import wrist, wrist_model
 from onboard.ground.calibrate.weigh.weigh import Answer, body_gradient
 
 _COUNT = 3
@@ -34,14 +34,14 @@ def further(answer: Answer) -> tuple[Pose, ...]:
     prior, one = answer.known.prior, answer.weighing.best
     noise = np.hypot(one.noise.sigma, one.noise.walk)
     wide = wrist.prior_sigmas(answer.poses.wrench, prior, one.noise.cross)
-    J = wrist.jacobian(answer.poses.R, one.state, prior)
+    J = wrist_model.jacobian(answer.poses.R, one.state, prior)
     H = np.diag(np.concatenate([wide**-2.0, np.full(6, 1e-12)]))
     H += sum((_information(each, noise) for each in J), np.zeros_like(H))
     G = np.hstack([body_gradient(one.state), np.zeros((4, 6))])
     down = _DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
     gravity = prior.gravity_m_s2 / np.linalg.norm(prior.gravity_m_s2)
     R = np.array([_turn(one.state.mounting.T @ each, gravity) for each in down])
-    more = [_information(each, noise) for each in wrist.jacobian(R, one.state, prior)]
+    more = [_information(each, noise) for each in wrist_model.jacobian(R, one.state, prior)]
     before, found = _volume(H, G), list[Pose]()
     for _ in range(_COUNT):
         volumes = [_volume(H + each, G) for each in more]

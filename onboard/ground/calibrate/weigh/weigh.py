@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import log_ndtr
 
 from onboard.estimation.arrays import FloatArray, hat
-from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration import wrist, wrist_model
+from onboard.estimation.calibration.wrist_model import Linearisation, Priors
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
 from onboard.ground.calibrate.weigh.changed import BodyChange, change
 from onboard.ground.calibrate.weigh.columns import Meaning
@@ -134,7 +135,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     tell("how sure it is")
     weighing = wrist.weigh(poses.R, poses.wrench, prior, first)
     rows = [int(group[0]) for group in groups]
-    value, sigma, moved = wrist.zeros(weighing.best, wrist.jacobian(poses.R, weighing.best.state, prior))
+    value, sigma, moved = wrist.zeros(weighing.best, wrist_model.jacobian(poses.R, weighing.best.state, prior))
     return Answer(
         known,
         said_down,
@@ -216,16 +217,16 @@ def _same_answer(near: list[tuple[Poses, wrist.PoseFit, dict[str, Any]]]) -> Non
             )
 
 
-def _body(state: wrist.Linearisation) -> FloatArray:
+def _body(state: Linearisation) -> FloatArray:
     """Mass and centre of mass, (4,)."""
     return np.concatenate([[state.mass], state.first_moment / state.mass])
 
 
-def body_gradient(state: wrist.Linearisation) -> FloatArray:
+def body_gradient(state: Linearisation) -> FloatArray:
     """Of mass and centre by the unknowns, (4, 45)."""
-    out = np.zeros((4, wrist.UNKNOWNS))
+    out = np.zeros((4, wrist_model.UNKNOWNS))
     out[0, 0] = 1.0
-    out[1:, wrist.FIRST_MOMENT] = np.eye(3) / state.mass
+    out[1:, wrist_model.FIRST_MOMENT] = np.eye(3) / state.mass
     out[1:, 0] = -state.first_moment / state.mass**2
     return out
 
@@ -235,11 +236,11 @@ def _body_covariance(one: wrist.PoseFit) -> FloatArray:
     return np.asarray(G @ one.covariance @ G.T, np.float64)
 
 
-def _answers(weighing: wrist.Weighing, poses: Poses, prior: wrist.Priors, known: Known) -> Iterator[QuantityEstimate]:
+def _answers(weighing: wrist.Weighing, poses: Poses, prior: Priors, known: Known) -> Iterator[QuantityEstimate]:
     place = known.place
     relative = place.sigma_m_s2 / place.gravity_m_s2
     wide = wrist.prior_sigmas(poses.wrench, prior, weighing.best.noise.cross)
-    causes = Causes(["scale_percent" if 9 <= k < 15 else "" for k in range(wrist.UNKNOWNS)], wide)
+    causes = Causes(["scale_percent" if 9 <= k < 15 else "" for k in range(wrist_model.UNKNOWNS)], wide)
     G = body_gradient(weighing.best.state)
     told = weighing.best.covariance
     leans = causes.said(
@@ -289,19 +290,19 @@ def _angles(weighing: wrist.Weighing, wide: FloatArray) -> Iterator[QuantityEsti
 def _axes(
     weighing: wrist.Weighing,
     poses: Poses,
-    prior: wrist.Priors,
+    prior: Priors,
     zeros: tuple[FloatArray, FloatArray, FloatArray],
     known: Known,
 ) -> Iterator[SensorAxis]:
     one, (value, sigma, moved) = weighing.best, zeros
-    made = wrist.predicted(poses.R, one.state, prior)
+    made = wrist_model.predicted(poses.R, one.state, prior)
     for k, name in enumerate(AXES):
         alone = mass = (np.nan, np.nan)
         if k < 3:
             alone = _plain(poses, prior, one, (k,))
-            gradient = np.zeros(wrist.UNKNOWNS)
+            gradient = np.zeros(wrist_model.UNKNOWNS)
             gradient[[0, 9 + k]] = 1.0 + one.state.scales[k], one.state.mass
-            gradient[27 + 3 * k : 30 + 3 * k] = hat(one.state.first_moment)[:, k] / wrist.REACH_m
+            gradient[27 + 3 * k : 30 + 3 * k] = hat(one.state.first_moment)[:, k] / wrist_model.REACH_m
             own = float(np.sqrt(gradient @ one.covariance @ gradient))
             mass = float(one.state.sensitivity[k, k]), own
         yield SensorAxis(
@@ -318,10 +319,10 @@ def _axes(
         )
 
 
-def _plain(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit, axes: tuple[int, ...]) -> tuple[float, float]:
+def _plain(poses: Poses, prior: Priors, one: wrist.PoseFit, axes: tuple[int, ...]) -> tuple[float, float]:
     """Mass by plain least squares of some forces with constant zeros, and its sigma by what is left over, kg."""
     state = one.state._replace(mass=1.0, scales=np.zeros(6), cross=np.zeros(30))
-    d = wrist.predicted(poses.R, state, prior)[:, axes]
+    d = wrist_model.predicted(poses.R, state, prior)[:, axes]
     d, f = d - d.mean(axis=0), poses.wrench[:, axes] - poses.wrench[:, axes].mean(axis=0)
     squares = max(float((d**2).sum()), 1e-300)
     mass = float((d * f).sum()) / squares
@@ -329,7 +330,7 @@ def _plain(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit, axes: tuple[in
     return mass, float(np.sqrt(left / squares))
 
 
-def _wrong_axes(poses: Poses, prior: wrist.Priors, first: wrist.PoseFit, said: Said) -> WrenchError | None:
+def _wrong_axes(poses: Poses, prior: Priors, first: wrist.PoseFit, said: Said) -> WrenchError | None:
     """Signs turned and axes exchanged, of forces or of moments, as rivals of the axes as they are.
 
     One turned force with the weight is one turned moment with the reaction and a sensor mounted the other way round:
@@ -373,7 +374,7 @@ def _frozen(read: FloatArray, made: FloatArray) -> bool:
     return any(float(np.ptp(run)) > _RUN * step + 1e-12 for run in runs)
 
 
-def _held_out(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit) -> HeldOut | None:
+def _held_out(poses: Poses, prior: Priors, one: wrist.PoseFit) -> HeldOut | None:
     """Each half of the poses predicted from the other; zeros are the half's own."""
     n = len(poses.R)
     if n < _HALVES:
@@ -381,17 +382,17 @@ def _held_out(poses: Poses, prior: wrist.Priors, one: wrist.PoseFit) -> HeldOut 
     halves = slice(0, n // 2), slice(n // 2, n)
     states = [wrist.fit(poses.R[half], poses.wrench[half], prior).state for half in halves]
 
-    def error(part: slice, state: wrist.Linearisation) -> HeldOutFit:
+    def error(part: slice, state: Linearisation) -> HeldOutFit:
         return _left_over(poses._replace(R=poses.R[part], wrench=poses.wrench[part]), prior, one.noise, state)
 
     return HeldOut(error(halves[1], states[0]), error(halves[0], states[1]), error(slice(0, n), one.state))
 
 
-def _left_over(poses: Poses, prior: wrist.Priors, noise: wrist.Noise, state: wrist.Linearisation) -> HeldOutFit:
+def _left_over(poses: Poses, prior: Priors, noise: wrist.Noise, state: Linearisation) -> HeldOutFit:
     """Of what readings change by from pose to pose, and of their noise."""
     whitened = [
         wrist.coefficients(each) / np.sqrt(wrist.variances(noise, len(each)))
-        for each in (poses.wrench - wrist.predicted(poses.R, state, prior), poses.wrench)
+        for each in (poses.wrench - wrist_model.predicted(poses.R, state, prior), poses.wrench)
     ]
     left, whole = (float((each**2).sum()) for each in whitened)
     return HeldOutFit(float(np.sqrt(left / max(whole, 1e-300))), left / whitened[0].size)

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from onboard.estimation.calibration import wrist
+from onboard.estimation.calibration import wrist, wrist_model
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.weigh.weigh import body_gradient
 from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, anyhow, record
 
-PRIOR = wrist.Priors(np.array([0.0, 0.0, -GRAVITY]), 0.01, np.deg2rad(5.0), np.pi / 2.0)
+PRIOR = wrist_model.Priors(np.array([0.0, 0.0, -GRAVITY]), 0.01, np.deg2rad(5.0), np.pi / 2.0)
 
 
 def state(rng, tilt=(0.0, 0.0)):
     cross = 0.02 * rng.normal(size=30)
-    return wrist.Linearisation(
+    return wrist_model.Linearisation(
         1.3, 0.1 * rng.normal(size=3), anyhow(rng), np.array(tilt), 0.02 * rng.normal(size=6), cross
     )
 
@@ -21,12 +21,12 @@ def state(rng, tilt=(0.0, 0.0)):
 def test_the_derivatives_are_those_of_the_prediction(rng):
     R = np.array([anyhow(rng) for _ in range(5)])
     at = state(rng)
-    J = wrist.jacobian(R, at, PRIOR)
-    assert J.shape == (5, 6, wrist.UNKNOWNS)
-    for k in range(wrist.UNKNOWNS):
-        step = np.zeros(wrist.UNKNOWNS)
+    J = wrist_model.jacobian(R, at, PRIOR)
+    assert J.shape == (5, 6, wrist_model.UNKNOWNS)
+    for k in range(wrist_model.UNKNOWNS):
+        step = np.zeros(wrist_model.UNKNOWNS)
         step[k] = 1e-6
-        ends = [wrist.predicted(R, wrist.moved(at, way * step), PRIOR) for way in (1.0, -1.0)]
+        ends = [wrist_model.predicted(R, wrist_model.moved(at, way * step), PRIOR) for way in (1.0, -1.0)]
         np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, J[:, :, k], atol=1e-8)
 
 
@@ -107,7 +107,7 @@ def test_mass_centre_and_zeros_lie_in_their_intervals():
             mean, sigma, low, high = wrist.interval(means, sigmas, mixture, 0.95)
             z.append((mean - true) / sigma)
             inside += low <= true <= high
-        value, sigma, _ = wrist.zeros(mixture.best, wrist.jacobian(one.R, mixture.best.state, PRIOR))
+        value, sigma, _ = wrist.zeros(mixture.best, wrist_model.jacobian(one.R, mixture.best.state, PRIOR))
         zeros.append((value[-1] - one.true.zero) / sigma)
     assert inside >= 0.93 * len(z)
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.15
