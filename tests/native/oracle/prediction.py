@@ -16,7 +16,8 @@ def predict(predictor, q, dq, ddq, state, cyclic=None, thrust=None):
     n, layout, h, m = len(q), predictor._layout, predictor.period_s, predictor.lines[-1].stop
     at, drawn = predictor._in_links, predictor._links.whole
     linear, push = of_errors.linear(at, drawn, state), np.zeros_like(state)
-    push[predictor._in_push] = state[predictor._in_push]
+    pushed = np.array(predictor.pushes, np.intp).ravel()
+    push[pushed] = state[pushed]
     x = layout.whole(linear - push)
     base = _base(predictor, x, n, (q, dq, ddq), cyclic, thrust)
     by_motion = np.zeros((n, m, base.along.shape[2]))
@@ -58,7 +59,7 @@ def _base(predictor, x, n, joints, cyclic, thrust):
     wrenches = np.array([one.wrench for one in predictor.thrusters]).reshape(-1, 6).T
     forces = np.zeros((n, wrenches.shape[1])) if thrust is None else thrust
     of_each, gain = forces[:, None] * wrenches, 1.0 + x[layout["thrusters"]]
-    if len(predictor._in_push):
+    if predictor.pushes:
         of_each, gain = np.concatenate([of_each, units], axis=2), np.append(gain, x[layout["disturbance"]])
     chi = predictor._links.chi(x[layout["payload"]], predictor._links.basis @ x[layout["links"]])
     errors, offsets = None, None
