@@ -140,7 +140,8 @@ noise_rad = 1e-5               # of a sample: yours
         return angle
     sigma = f"sigma_N_m = {_OF_RECORDED * largest_N_m:.2g}"
     by_current = "" if gain_N_m_A is None else f"gain_N_m_A = {gain_N_m_A:g}\n"
-    return f"""{angle}
+    return f"""{angle}zero_sigma_rad = 5e-3          # of its zero against the URDF's: yours; 0.3 deg, as by a mark
+
 [device.{device}_torque]
 kind = "recorded_torque"       # N m; of a motor's current in A say gain_N_m_A too
 joint = {json.dumps(name)}

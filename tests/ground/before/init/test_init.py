@@ -375,3 +375,12 @@ def test_gains_of_recorded_currents(tmp_path, capsys):
     flies = ["init", str(tmp_path / "c"), "--base", "free", "--joints", "2", "--gains", "1,2"]
     assert cli.main(flies) == cli.BAD_INPUT
     assert "--gains is of recorded currents" in capsys.readouterr().err
+
+
+def test_zeros_of_an_arm_that_is_weighed_by_its_torques_are_as_by_a_mark(tmp_path):
+    """0.3 deg, in the file to be corrected; a free base's are estimated within what its prior says."""
+    for base, expected in (("fixed", 5e-3), ("free", 1e-3)):
+        asked = ["init", str(tmp_path / base), "--base", base, "--joints", "2", "--encoder", "recorded"]
+        assert cli.main(asked) == cli.OK
+        roles = roles_of(config.load(tmp_path / base / "vehicle.toml"))
+        assert [joint.zero_sigma_rad for joint in roles.joints] == [expected] * 2
