@@ -63,10 +63,11 @@ class Solved(NamedTuple):
     def contradicts(self, nothing: "Solved") -> bool:
         """Whether its payload takes off more of the squares than ten numbers take off noise where nothing is held.
 
-        Residuals alone hide a light payload: of a thousand readings it adds little to their squares.
+        Residuals alone hide a light payload: of a thousand readings it adds little to their squares. Its mass may come out
+        negative where the window tells little of it; a longer one follows.
         """
         taken_off = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(nothing.cost - self.cost, 0.0)))
-        return taken_off < EXPLAINED and bool(self.state[PAYLOAD.start] > 0.0)
+        return taken_off < EXPLAINED
 
     def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
         """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.
