@@ -12,7 +12,7 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 
-EXPLAINED = of_each(REFUSE, 16)  # chance below which one is not explained, of as many windows
+EXPLAINED = of_each(REFUSE, 16)  # a window of less chance is not explained; as many windows are judged
 _BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
 _GROWTH, _LONGEST = 1.5, 8.0  # of such a window
 
@@ -61,13 +61,13 @@ class Solved(NamedTuple):
         return bool(self.state[PAYLOAD.start] > -sigmas(LEAST_WEIGHT) * sigma)
 
     def contradicts(self, nothing: "Solved") -> bool:
-        """Whether its payload takes off more of the squares than ten numbers take off noise where nothing is held.
+        """Whether its payload lowers the cost by more than ten free numbers do by chance where nothing is held.
 
-        Residuals alone hide a light payload: of a thousand readings it adds little to their squares. Its mass may come out
-        negative where the window tells little of it; a longer one follows.
+        A light payload adds little to the squares of a thousand readings, too little for a test of the residuals alone.
+        Its mass may come out negative where the window tells little of it; a longer window follows then.
         """
-        taken_off = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(nothing.cost - self.cost, 0.0)))
-        return taken_off < EXPLAINED
+        chance = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(nothing.cost - self.cost, 0.0)))
+        return chance < EXPLAINED
 
     def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:
         """After a window that does not determine the mass: whether its ticks are kept, and the next window's length.

@@ -49,7 +49,7 @@ class _Stage(Enum):
 class WindowSolve:
     """The solution of a window of ticks with all joints known, under the first hypothesis that explains it.
 
-    Where that is of nothing held, the next one has to explain it no better than chance (:meth:`Solved.contradicts`).
+    Nothing held is kept only if the next one explains the window no better than chance (:meth:`Solved.contradicts`).
 
     Attributes:
         over: there is nothing more to do.
@@ -94,7 +94,7 @@ class WindowSolve:
         self.left: FloatArray | None = None
         self._least = np.inf  # squares of the residuals of all instruments, of that fit
         self._left = list(hypotheses)
-        self._nothing: Solved | None = None  # explains the window, unless a payload does so much better
+        self._nothing: Solved | None = None  # with nothing held, where that explains the window
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
@@ -305,7 +305,7 @@ class WindowSolve:
         return True
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
-        """A result under the hypothesis: the solution if that explains the window, or nothing held does."""
+        """End with this result if it explains the window; nothing held is first compared with the next hypothesis."""
         solved = self._solution(fitted, whole)
         if not self._explains(fitted.residual_sum):
             self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
