@@ -6,8 +6,8 @@ Two tests:
   probability is below ``READING``. Half of the stated noise is assumed, conditional on the reading before (filters
   correlate neighbours). Noise below a count may repeat for long and is not tested.
 - *Travel*: the angle of a moving joint changes by about as much as it did before, and a joint can neither stop nor
-  jump from one sample to the next. A run of equal readings is stuck where it begins in motion, or ends with a
-  jump larger than the neighbouring steps. At rest an encoder repeats and is not tested.
+  jump from one sample to the next. A run of equal readings that noise excludes is stuck where it begins in motion, or
+  ends with a jump larger than the neighbouring steps. At rest an encoder repeats and is not tested.
 
 A stuck run is reported with its earlier samples; those still in a history are refused too.
 """
@@ -48,11 +48,14 @@ class StuckReadings:
 
     Args:
         columns: of a reading.
-        longest: run that may be chance (:func:`longest_run`); None for the angle of a joint, which its travel judges.
+        longest: run that may be chance (:func:`longest_run`).
+        travels: it is the angle of a joint, which its travel judges besides; where noise excludes no run, it alone.
     """
 
-    def __init__(self, columns: int, longest: float | None) -> None:
-        self._longest = longest
+    def __init__(self, columns: int, longest: float, *, travels: bool = False) -> None:
+        self._longest, self._travels = longest, travels
+        by_noise = longest + 1.0 if math.isfinite(longest) else 0.0
+        self._shortest = max(_SHORTEST, by_noise)  # run that travel judges
         self._values = np.zeros((0, columns))  # of the last few runs, the one that goes on included
         self._lengths = np.zeros(0, np.int64)
         self._stuck = np.zeros(0, np.bool_)
@@ -99,7 +102,7 @@ class StuckReadings:
         known = np.zeros(len(lengths), np.bool_)
         known[:kept] = self._stuck
         values = values[first]
-        found = known | (self._by_travel(values, lengths) if self._longest is None else lengths > self._longest)
+        found = known | (self._by_travel(values, lengths) if self._travels else lengths > self._longest)
         at = np.flatnonzero(found[:kept] & ~known[:kept])
         before = NONE
         if len(at):
@@ -110,7 +113,7 @@ class StuckReadings:
 
     def _differ(self, readings: NDArray[np.float64]) -> bool:
         """Whether every reading differs from the one before, and no run before them can be judged by them."""
-        if not len(self._lengths) or (self._longest is None and self._lengths.max() >= _SHORTEST):
+        if not len(self._lengths) or (self._travels and self._lengths.max() >= self._shortest):
             return False
         same = readings[1:] == readings[:-1]
         first = readings[0] == self._values[-1]
@@ -118,11 +121,10 @@ class StuckReadings:
             return not (first[0] or same.any())
         return not (first.all() or same.all(axis=1).any())
 
-    @staticmethod
-    def _by_travel(values: NDArray[np.float64], lengths: NDArray[np.int64]) -> BoolArray:
+    def _by_travel(self, values: NDArray[np.float64], lengths: NDArray[np.int64]) -> BoolArray:
         step = np.diff(values[:, 0])  # from each run to the next
         found = np.zeros(len(values), np.bool_)
-        for k in np.flatnonzero(lengths >= _SHORTEST):
+        for k in np.flatnonzero(lengths >= self._shortest):
             if k >= 3 and (lengths[k - 2 : k] == 1).all():
                 before, earlier = step[k - 1], step[k - 2]
                 due = 2.0 * before - earlier

@@ -49,7 +49,8 @@ class StuckWatch:
             event reports.
         """
         if self._readings is None:
-            self._readings = StuckReadings(len(self._signal.noise), _longest(self._signal, rows[0]))
+            longest, travels = _longest(self._signal, rows[0]), self._signal.travels and not self._signal.repeats
+            self._readings = StuckReadings(len(self._signal.noise), longest, travels=travels)
         raw = np.hstack([rows["gyro_raw"], rows["accel_raw"]]) if not self._signal.si else rows["value_raw"][:, None]
         stuck, before = np.zeros(len(rows), np.bool_), NONE
         starts = breaks(rows, self._sequence)
@@ -97,12 +98,10 @@ def breaks(rows: Rows, last: int | None) -> list[int]:
     return np.flatnonzero((np.diff(numbers.astype(np.int64), prepend=begins) != 1) | (resets != 0)).tolist()
 
 
-def _longest(signal: SmoothedChannel, row: np.void) -> float | None:
-    """Run that may be chance; None for an angle, which is judged by its travel."""
+def _longest(signal: SmoothedChannel, row: np.void) -> float:
+    """Run that may be chance."""
     if signal.repeats:
         return math.inf
-    if signal.travels:
-        return None
     if signal.si:
         scales = [float(row["scale"]) * signal.si.get(row["unit"], math.nan)]
     else:

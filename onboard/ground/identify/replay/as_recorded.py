@@ -11,6 +11,7 @@ so each half of the recording by each width predicts the rows of the other half 
 parameters predict best, in all of these bands together, is taken.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -246,7 +247,7 @@ def quantum_of(raw: NDArray[np.floating]) -> float:
 
 def _repeats(raw: FloatArray) -> bool:
     """Whether readings of a joint that moves are equal so often, and for as long, that it is the recorder's way."""
-    stuck, _ = StuckReadings(1, None).watch(raw[:, None], np.ones(len(raw), np.bool_))
+    stuck, _ = StuckReadings(1, math.inf, travels=True).watch(raw[:, None], np.ones(len(raw), np.bool_))
     begins = np.flatnonzero(np.append(True, np.diff(raw) != 0.0))
     lengths = np.diff(np.append(begins, len(raw)))[stuck[begins]]
     return len(lengths) >= _FEWEST_STEPS and bool(np.median(lengths) > MOSTLY * lengths.max())
