@@ -32,7 +32,7 @@ _BLOCK_BYTES: Final = _BLOCK_MAX + 2  # union i2c_smbus_data
 
 
 class I2cWires(Protocol):
-    """The bus behind the node: ``hil_sim.buses.I2cBus``."""
+    """The bus behind the node: ``hil_sim.buses.media.I2cBus``."""
 
     def transfer(self, address: int, write: bytes, read_count: int, now_ns: int) -> bytes:
         """START, write, repeated START, read, STOP; raises OSError with the kernel's errno."""

@@ -14,7 +14,7 @@ class EstimationMethod:
     Attributes:
         name: in vehicle.toml.
         predicts: it predicts what the base's instruments show, and has no rows.
-        falling: its rows are both wrenches of a base on which none acts.
+        falling: its rows are force and moment on a free base, both zero.
     """
 
     name: str
@@ -28,7 +28,7 @@ METHODS = {method.name: method for method in (EstimationMethod("instrumental", f
 
 
 def method_of(name: str) -> EstimationMethod:
-    """A method by its name; of those without an entry rows are asked as the vehicle file states them."""
+    """A method by its name; a name without an entry has rows, those that the vehicle file states."""
     return METHODS.get(name, EstimationMethod(name))
 
 

@@ -5,12 +5,12 @@ Those that a test of one device holds already are not said again:
 =====================================  ==============================  ======================================
 vectors                                driver                          twin
 =====================================  ==============================  ======================================
-QSB Command List v1.28: set-up         test_qsb_line, test_qsb_device  hil_sim/test_devices_qsb (documented
+QSB Command List v1.28: set-up         test_qsb_line, test_qsb_device  hil_sim/devices/test_qsb (documented
 sequence, EOR formats, factory values                                  sequence, demonstration, formats)
-Baumer DSRT: 1000h, 6110h, autozero    test_canopen_frame              hil_sim/test_devices_canopen
-Laumas TLB: read of 40008, CRC         test_modbus_frame               hil_sim/test_devices_modbus_load_cell
-Mantracourt DSC: SOUT, BAUD, RST       test_dsc                        hil_sim/test_devices_dsc_load_cell
-Memsense nIMU: table 3, by hand        test_nimu                       hil_sim/test_devices_nimu
+Baumer DSRT: 1000h, 6110h, autozero    test_canopen_frame              hil_sim/devices/test_canopen
+Laumas TLB: read of 40008, CRC         test_modbus_frame               hil_sim/devices/test_modbus_load_cell
+Mantracourt DSC: SOUT, BAUD, RST       test_dsc                        hil_sim/devices/test_dsc_load_cell
+Memsense nIMU: table 3, by hand        test_nimu                       hil_sim/devices/test_nimu
 =====================================  ==============================  ======================================
 """
 

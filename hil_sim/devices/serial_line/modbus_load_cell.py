@@ -202,16 +202,17 @@ class ModbusLoadCellTwin(SerialTwin):
         self._frame.append(byte)
 
     def _end_of_frame(self, now_ns: int) -> None:
-        if now_ns < self._frame_end_ns:  # bytes came after the first
-            return self._at("silence", self._frame_end_ns, self._end_of_frame)
+        if now_ns < self._frame_end_ns:  # more bytes came after the first
+            self._at("silence", self._frame_end_ns, self._end_of_frame)
+            return
         frame, void = bytes(self._frame), self._frame_void
         self._frame.clear()
         self._frame_void = False
         if void or not 4 <= len(frame) <= _LONGEST_FRAME or crc16(frame[:-2]) != frame[-2:]:
             self.bad_frames += 1
-            return None
+            return
         if frame[0] not in (0, self._station):
-            return None
+            return
         self._convert(now_ns)
         function = frame[1]
         try:
@@ -222,7 +223,6 @@ class ModbusLoadCellTwin(SerialTwin):
         if frame[0]:
             reply = bytes([self._station, function]) + answer
             self._send(reply + crc16(reply), self._late(now_ns + self._reply_ns))
-        return None
 
     def _obey(self, function: int, body: bytes) -> bytes:
         if function not in (_READ, _WRITE):

@@ -113,7 +113,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         ),
         "level_sigma_rad": _M(
             "How far the base may lean, 1 sigma by axis; estimated, for a fixed arm by its torques; 0.0175 if silent.",
-            "the base was levelled, or stands on a floor that nobody did",
+            "the base was levelled better, or stands on a slope",
         ),
         "phases": _M("Table: which phases of the mission are for identification."),
         "zero": _M("Table: where the accelerometer is zeroed."),

@@ -53,7 +53,7 @@ class CapturedBody:
     """
 
     def __init__(self, ekf: MotionFilter) -> None:
-        self._exiddm = ekf
+        self._ekf = ekf
         self._recent: Ticks | None = None
         self._seen = 0  # changes
         self._suspected: _Touch | None = None  # not classified
@@ -67,15 +67,15 @@ class CapturedBody:
         recent = ticks if self._recent is None else self._recent.and_then(ticks)
         if not len(recent.time_s):
             return
-        changes = self._exiddm.changes
+        changes = self._ekf.changes
         for change in changes[self._seen :]:
             self._follow(change)
         self._seen = len(changes)
         self._suspected, self._captured = (
-            _completed(one, recent, margins_s(self._exiddm.predictor.period_s))
+            _completed(one, recent, margins_s(self._ekf.predictor.period_s))
             for one in (self._suspected, self._captured)
         )
-        settled = self._exiddm.held and all(one is None or one.ticks for one in (self._suspected, self._captured))
+        settled = self._ekf.held and all(one is None or one.ticks for one in (self._suspected, self._captured))
         since_s = recent.time_s[-1] - (0.0 if settled else _KEPT_s)
         self._recent = recent.part(slice(int(np.searchsorted(recent.time_s, since_s)), None))
 
@@ -129,7 +129,7 @@ class CapturedBody:
     @property
     def due(self) -> bool:
         """It is due, if the payload is known."""
-        used, longest = self._exiddm.ticks_used, _LONGEST_s / self._exiddm.predictor.period_s
+        used, longest = self._ekf.ticks_used, _LONGEST_s / self._ekf.predictor.period_s
         ready = self._captured is not None and self._captured.ticks is not None
         anew = used < self._used  # the payload has been found again
         return ready and (anew or (used >= self._next and (self._told is None or used <= longest)))
@@ -140,7 +140,7 @@ class CapturedBody:
         Args:
             payload: as it is known now.
         """
-        touch, ekf = self._captured, self._exiddm
+        touch, ekf = self._captured, self._ekf
         assert touch is not None
         assert touch.ticks is not None
         self._used, self._next = ekf.ticks_used, _AGAIN * ekf.ticks_used
@@ -160,7 +160,7 @@ class CapturedBody:
 
     def _before(self, at_s: float) -> tuple[FloatArray, Zeros]:
         """The state with nothing held, without biases, and the zeros of the base's IMU at the capture."""
-        ekf, predictor = self._exiddm, self._exiddm.predictor
+        ekf, predictor = self._ekf, self._ekf.predictor
         assert ekf.state is not None
         assert self._recent is not None
         state, since_s = ekf.state.copy(), float(self._recent.time_s[-1]) - at_s

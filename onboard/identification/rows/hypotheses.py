@@ -7,10 +7,10 @@ with the payload released, and still held. Rules:
 - While the one with all instruments, as reported, is not contradicted, it is selected; its intervals hold what an error
   of a gain does that the others show (:mod:`onboard.identification.rows.checks.gain`). Where two that each leave one
   instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on one of these
-  instruments is wrong. This stays so when they draw nearer: the rows of the one that lies are not forgotten.
-- Then each that leaves one out and is not contradicted is weighed by what it makes of the parts that the drawing knows,
-  as nothing else distinguishes two gains. Where one remains it is selected and its left-out instrument named; where
-  several do, the answer is their mixture, and all are named.
+  instruments is wrong. This stays so when they draw nearer: rows of the wrong instrument are not forgotten.
+- Then each that leaves an instrument out and is not contradicted is weighed by its answers on parts that the drawing
+  knows, as nothing else distinguishes two gains. If a single identifier remains it is selected and its left-out
+  instrument named; of several the answer is the mixture, and all are named.
 - Where the one with all instruments is contradicted by its own rows, and without exactly one instrument nothing is
   doubtful while all others are contradicted too, that one is selected and its left-out instrument named.
 - A release is accepted, or rejected, when the evidence of the rows (:mod:`onboard.identification.rows.likelihood`)
@@ -19,7 +19,7 @@ with the payload released, and still held. Rules:
 """
 
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,24 +54,18 @@ def has_happened(evidence: Sequence[tuple[float, bool]]) -> bool | None:
 
     Args:
         evidence: nats for it over that it did not happen, with no instrument or one left out, and whether these count:
-            not where a finding is against the likelier of the two, as an instrument lies that others stand beside.
+            not where a finding is against the likelier of the two, as they include a wrong instrument's rows.
     """
     log_odds = [nats - np.log(ODDS) for nats, counts in evidence if counts]
     found = {bool(odds > 0.0) for odds in log_odds if abs(odds) > -np.log(LEAST_WEIGHT)}
     return found.pop() if len(found) == 1 else None
 
 
-def _doubts(findings: Mapping[Member, Findings], members: Iterable[Member]) -> Iterator[str]:
-    """Of some of these."""
-    for member in members:
-        yield from findings[member].doubts
-
-
 class Hypotheses:
-    """An :class:`onboard.identification.online.OnlineIdentifier` of several.
+    """Several identifiers by rows as a single :class:`onboard.identification.online.OnlineIdentifier`.
 
     Args:
-        make: a fresh identifier; all are alike.
+        make: makes an identifier; all are alike, but for the rows that they are given.
         redundant: instruments that measure the same as another.
     """
 
@@ -83,9 +77,9 @@ class Hypotheses:
         self._told_rows: int | None = None  # rows used when a release was reported that is not judged yet
         self._released = False  # a release was accepted: what was released does not come back
         self._contradiction = ""  # between two that leave one instrument out each: it stays
-        self._mixed: dict[
+        self._mixed = dict[
             Member, float
-        ] = {}  # those that may be right, and the weight of each; empty: the selected one
+        ]()  # weights of those that may be right; empty: the answer is the selected one's
         self._news: list[Change] = []
 
     @property
@@ -202,7 +196,8 @@ class Hypotheses:
             self._mixed = weights
             likely = ", ".join(f"{one.left_out} {weight:.2g}" for one, weight in weights.items())
             apart = f"{self._contradiction}; probability of being wrong: {likely}"
-            said = Findings(doubts=tuple(dict.fromkeys([apart, *_doubts(findings, weights)])))
+            doubts = [apart, *(doubt for member in weights for doubt in findings[member].doubts)]
+            said = Findings(doubts=tuple(dict.fromkeys(doubts)))
         elif weights and (self._contradiction or as_told.against):
             likeliest = next(iter(weights))
             if self._contradiction or (len(weights) == 1 and self._is_clean(likeliest, findings[likeliest])):
@@ -218,7 +213,7 @@ class Hypotheses:
         self._chosen, self._findings = chosen, said
 
     def _weights(self, members: Sequence[Member]) -> dict[Member, float]:
-        """Of those that leave one instrument out each, if one of them is right, by what the drawing knows."""
+        """Probability of each, one of them being right, by its answers on what the drawing knows; likeliest first."""
         drawn = [self._members[member].drawn for member in members]
         each = np.exp(-0.5 * (np.array(drawn) - min(drawn, default=0.0)))
         weights = dict(zip(members, (each / each.sum()).tolist(), strict=True))
@@ -255,7 +250,7 @@ class Hypotheses:
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
         self._members, self._told_rows, self._released = kept, None, accepted
         if not accepted:
-            self._contradiction, self._mixed = "", {}  # of answers that took it for true
+            self._contradiction, self._mixed = "", {}  # they were of answers that took the release for true
 
     def _nats(self, one: Member, other: Member) -> float:
         """Log of the evidence for one over that for another."""
@@ -263,7 +258,7 @@ class Hypotheses:
         return nats(first.rows_seen, second.rows_seen, first.correlation)
 
     def _apart(self, members: Sequence[Member]) -> tuple[float, str]:
-        """Sigmas between the answers of two that leave one instrument out each, where most, and what they say."""
+        """Most sigmas between answers of two that leave one instrument out each, and the sentence that names these."""
         estimates = {one: self._members[one].stated_estimate() for one in members if not one.still_held}
         most = 0.0, ""
         for k, (one, first) in enumerate(estimates.items()):

@@ -34,6 +34,8 @@ def mixed(estimates: Sequence[Estimate], weights: FloatArray, level: float) -> E
 
 
 class _Mixed:
+    """Of means with the ends of their intervals, (n,) of each of k estimates; NaN where one of these is not finite."""
+
     def __init__(
         self, each: Sequence[tuple[FloatArray, FloatArray, FloatArray]], weights: FloatArray, level: float
     ) -> None:
@@ -53,7 +55,7 @@ class _Mixed:
         return np.where(self._determined, numbers, np.nan)
 
     def quantity(self, k: int, of_each: Sequence[QuantityEstimate]) -> QuantityEstimate:
-        """The k-th; what belongs to no interval is of the estimate that determines it least."""
+        """The k-th; whatever else it has, notes say, is of the estimate that determines it least."""
         least = min(of_each, key=lambda one: (one.supported, -one.shrinkage))
         if not least.supported:
             return least

@@ -7,10 +7,10 @@ Per instrument, at the estimate of all rows:
   gain.
 - *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
   what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
-  it is reported and its effect is in the intervals, and what is found is not refused for it.
+  it is reported, its effect is in the intervals, and nothing is refused for it.
 - *Misfit*: residual relative to the noise, and to the signal, of the worst kind of rows that noise does not explain.
-  What the noise of the motion makes is taken at the estimate, but is no more than at the plain least squares' or at the
-  drawing: what no row tells, the correction for this noise may carry off until the noise "explains" any residual.
+  The noise of the motion is computed at the estimate, at most that at the plain least squares' or at the drawing: of
+  parameters that no row tells, the correction for this noise may go so far that the noise explains any residual.
 - *Response*: readings relative to those predicted from the URDF. A ratio near zero is an unloaded or dead instrument.
 """
 
@@ -141,14 +141,14 @@ def with_stated(fits: Sequence[InstrumentFit], considered: Sequence[Considered])
     )
 
 
-def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str], list[str]]:
-    """Reasons to refuse all estimates, reasons to weaken them, and remarks, from the rows of one instrument.
+def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[str]]:
+    """Reasons to refuse all estimates and reasons to weaken them, from the rows of one instrument.
 
     Args:
         fit: at the estimate of all rows.
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
-    against, doubts, told, name = list[str](), list[str](), list[str](), fit.instrument
+    against, doubts, name = list[str](), list[str](), fit.instrument
     if fit.response < LEAST_RESPONSE:
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > MISFIT_PART and fit.unexplained > MOSTLY * MOST_UNEXPLAINED:
@@ -157,18 +157,18 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
             said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
-    if step is not None and step.is_one and not step.between:
+    if step is not None and step.is_significant and not step.between:
         said = f"{name} reads {step.size:+.0%} of the motion from {step.since_s:.1f} s after its first row on"
         said += ": it or a joint's sensor has changed"
         (against if step.chance < of_each(REFUSE) else doubts).append(said)
-    return against, doubts, told
+    return against, doubts
 
 
 def judged_between(fits: Sequence[InstrumentFit]) -> tuple[list[str], list[str], list[str]]:
-    """The same of what differs between the recordings, in one sentence for instruments of which it is as bad."""
+    """The same, and remarks, of what differs between the recordings; instruments of the same level share a sentence."""
     doubts, told, alike = list[str](), list[str](), dict[tuple[bool, bool], list[tuple[str, GainError]]]()
     for fit in fits:
-        if (step := fit.step) is not None and step.is_one and step.between:
+        if (step := fit.step) is not None and step.is_significant and step.between:
             alike.setdefault((step.is_as_stated, abs(step.size) > LIKELY_SIZE), []).append((fit.instrument, step))
     for (as_stated, large), some in alike.items():
         names = ", ".join(f"{name} {step.size:+.0%}" for name, step in some)

@@ -7,15 +7,15 @@ the very blocks that tell of it: a few blocks at an end, alike by chance in what
 vibration of a fast sweep hides no step that a slow one shows. What other instruments leave over counts too, as far as
 they tell of what takes up part of the gain. A block that carries much of it is given its leverage: one block of noise
 at an end is none. Degrees of freedom are twice the blocks that tell of it, in effect ``(sum I_b)^2 / sum I_b^2`` by the
-information I_b of each (Kish, Survey Sampling, 1965): a block is two kernels long. After a release few tell of the rows
-without it.
+information I_b of each (Kish, Survey Sampling, 1965): a block is two kernels long. After a release few blocks tell of
+the gain of the rows without the payload.
 
 - *Step*: a jump of the scale, or an error that begins in the measured motion. Estimated together with a constant error
   of the gain for each time at which it could be; the likeliest is tested, corrected for the number of places tried.
 - *Error against the others*: a gain that is wrong from the beginning shows where other instruments read the same
   motion. Parameters that only this instrument tells of take it up whole: then there is none.
-- *Suspicion*: a gain that few blocks tell of is no reason to refuse, but may be one. By the scatter of all blocks its
-  variance is known better, and intervals contain what it does to the estimate, beyond what chance is expected to do.
+- *Effect on the intervals*: an error that too few blocks tell of to be sure may be real all the same. Intervals contain
+  what it does to the estimate, beyond what chance does, with the variance by the scatter of all blocks.
 """
 
 from collections.abc import Sequence
@@ -40,25 +40,25 @@ class Blocks(NamedTuple):
     H: FloatArray  # information of each, (b, p, p)
     scores: FloatArray  # derivative of each one's log likelihood at the estimate, (b, p)
     left: FloatArray  # residual sum of each, (b,)
-    of_noise: FloatArray  # what makes it one of their stated noise, (b,)
+    of_noise: FloatArray  # one over what the stated noise makes of ``left``, (b,)
 
 
 class GainError(NamedTuple):
     """An error of an instrument's gain: of all its rows, or the likeliest step."""
 
     size: float  # relative
-    chance: float  # that as much comes of the scatter of the blocks that tell of it
+    chance: float  # probability of as much by the scatter of the blocks that tell of it
     sigmas: float  # of the scatter of all blocks, each relative to what is left over in it
-    expected: float  # so many sigmas, or more, by a chance of 5 %
-    moved: FloatArray  # (p,) of the estimate, by it
+    expected: float  # sigmas that chance exceeds in 5 % of cases
+    moved: FloatArray  # (p,) change of the estimate by it
     time_s: float = np.nan  # of a step
     since_s: float = 0.0  # the first of the rows, until the step
-    between: bool = False  # the recording without the payload, and that with it
+    between: bool = False  # it lies between the recording without the payload and that with it
     stated: float = 0.0  # sigma of such an error that the vehicle file states, and that intervals hold
 
     @property
-    def is_one(self) -> bool:
-        """Whether it is larger than what intervals contain, and not by chance."""
+    def is_significant(self) -> bool:
+        """Whether it is larger than what is left to the intervals, and not by chance."""
         return self.chance < of_each(DOUBT) and abs(self.size) > LEAST_STEP
 
     @property
@@ -68,7 +68,7 @@ class GainError(NamedTuple):
 
     @property
     def suspected(self) -> FloatArray:
-        """What it does to the estimate, beyond what scatter and what is stated are expected to do, (p,)."""
+        """What it does to the estimate beyond what chance and the stated sigma explain, (p,); in the intervals."""
         explained = (self.expected / self.sigmas) ** 2 + (HALF * self.stated / self.size) ** 2 if self.size else 1.0
         return np.asarray(self.moved * np.sqrt(max(0.0, 1.0 - explained)), np.float64)
 
@@ -77,7 +77,7 @@ class GainTests:
     """Tests of one instrument's gain.
 
     Args:
-        parts: its rows, with the payload and without.
+        parts: blocks of its rows, with the payload and without.
         others: those of the other instruments, which tell of the parameters that take up part of a gain.
         body: the estimate's parameters of bodies, (p,).
         every: information of all rows and the prior, (p, p).
