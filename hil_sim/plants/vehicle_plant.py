@@ -152,9 +152,7 @@ class VehiclePlant(world.Plant):
         joints = len(self.joints)
         self._tracks = [Track(self.rows, n) for n in (self._model.model.nsensordata, *[joints] * 3)]
         self.rows_true = Rows(*(track.values for track in self._tracks))
-        self._window: Rows | None = (
-            None  # coarse rows from ``_window_at`` on, of which those before ``_done`` are refined
-        )
+        self._window: Rows | None = None  # coarse rows from ``_window_at`` on, refined before ``_done``
         self._window_at = self.done = 0
         self._jolt: Jolt | None = None
         self.came: FloatArray | None = None  # see ``VehicleFlight.approach``

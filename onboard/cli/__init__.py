@@ -61,9 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _sentence(error: OSError | ValueError) -> str:
     """Message with remedy; heft's errors contain it, for system errors it is added here."""
-    if refused := getattr(
-        error, "refused", ()
-    ):  # a scenario: the simulator knows nothing of how errors in vehicle files are shown
+    if refused := getattr(error, "refused", ()):  # a scenario's, which the simulator lists itself
         from onboard.config.errors import Origin
         from onboard.config.explain import explained
 

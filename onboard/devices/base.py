@@ -151,9 +151,7 @@ class BusDevice(DeviceSection):
     rate_tolerance: ClassVar[float] = 0.1  # of nominal_hz, before a preflight finds fault
     first_row_s: ClassVar[float] = 3.0  # from the start of a flight: a first row that is later has others before it
     marks_at_rest: ClassVar[bool] = True  # no sync pulse in its stream means that the line does not reach it
-    new_keys: ClassVar[str] = (
-        ""  # its own keys in a file that heft init makes, {number}: of its joint or node; else none
-    )
+    new_keys: ClassVar[str] = ""  # its keys in a file that heft init makes, {number}: of its joint or node; else none
     new_bus: ClassVar[str] = ""  # its bus there; a serial line of its own if empty,
     new_baud: ClassVar[int] = 115_200  # of this speed
     new_url: ClassVar[str] = ""  # of that bus, where it is no line and its name does not say it

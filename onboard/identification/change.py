@@ -2,9 +2,7 @@
 
 from typing import Final, NamedTuple
 
-CONTACT_s: Final = (
-    0.4  # after a capture was noticed, in which its contact ends: a grip of 4 Hz needs 0.5 s from the touch
-)
+CONTACT_s: Final = 0.4  # of contact after a capture is detected: a grip of 4 Hz needs 0.5 s from the touch
 
 
 class Change(NamedTuple):

@@ -53,9 +53,7 @@ class WrenchRow:
     bias: bool = False
     scale: bool = False
     friction_joint: str | None = None
-    coasting: bool = (
-        False  # the frame's origin is the centre of mass of a vehicle in free fall: no specific force there
-    )
+    coasting: bool = False  # the frame's origin is a falling vehicle's centre of mass: no specific force there
 
 
 def load_cell_row(

@@ -219,9 +219,8 @@ def zeros(one: PoseFit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     n = len(one.residual)
     own = coefficients(J)
     weights, variance, inflated = _walks(one, ((own @ one.covariance) * own).sum(axis=-1))
-    share = np.concatenate(
-        [np.ones((len(_WALKS), 1)), 1.0 - 1.0 / inflated], axis=1
-    )  # of a coefficient that is the zero's
+    zero_share = 1.0 - 1.0 / inflated  # of a coefficient that is the zero's
+    share = np.concatenate([np.ones((len(_WALKS), 1)), zero_share], axis=1)
     smooth = dct(one.residual, axis=0, norm="ortho")
     each = idct(share[..., None] * smooth, axis=1, norm="ortho")  # (walks, n, 6)
     value = np.einsum("ka,kna->na", weights, each)

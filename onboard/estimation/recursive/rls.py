@@ -30,9 +30,7 @@ class Solution(NamedTuple):
     """Estimate from the rows so far, under their stated sigmas."""
 
     mean: FloatArray  # (p,)
-    covariance: (
-        FloatArray  # (p, p) rows taken as independent; see onboard.estimation.recursive.consistency for correlated ones
-    )
+    covariance: FloatArray  # (p, p) if rows are independent; else onboard.estimation.recursive.consistency has it
     sensitivity: FloatArray  # (p, k) change of the mean per unit of each considered parameter
     residual_sum: float  # of (residual / sigma)^2, prior rows included: chi-squared, rows - p + prior rows
     rows: float  # number of rows, each weighted with its forgetting

@@ -46,9 +46,7 @@ class _Base(NamedTuple):
 
     motion: BaseMotion
     sensed_m_s2: FloatArray  # (n, 3) specific force at the IMU, its axes
-    sigma: tuple[
-        FloatArray, FloatArray, FloatArray
-    ]  # (n, 3) each: rate, angular acceleration, specific force; IMU axes
+    sigma: tuple[FloatArray, FloatArray, FloatArray]  # (n, 3) of rate, its derivative, specific force; IMU axes
     refused: NDArray[np.int64]  # (n,)
     of_samples: FloatArray  # (n, 9) share of the variances of these
 

@@ -197,9 +197,7 @@ def _solved(rows: list[_Row], drawn: FloatArray, drawn_sigma_m: float | None) ->
             raise CalibrationError(
                 "the centre is not determined in all three directions; turn the part, and measure again"
             )
-        P = (
-            untold.T @ untold / drawn_sigma_m**2
-        )  # the drawing only there: it may be this measurement's, of another time
+        P = untold.T @ untold / drawn_sigma_m**2  # the drawing only there: it may come of such a measurement
         H, right = H + P, right + P @ drawn
     covariance = np.linalg.inv(H)
     centre = covariance @ right

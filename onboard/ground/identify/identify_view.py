@@ -42,7 +42,8 @@ def render(found: Identification) -> RenderableType:
         parts.append(_throws(mine, found.together[name].principal))
     if found.summaries:
         parts.append(_summary(found.summaries))
-    parts += [Text.assemble(f"{log.log.stem}: ", _verdict(log.verdict)) for log in found.logs if not _good(log)]
+    judged = [log for log in found.logs if log.verdict.level is not Level.GOOD]
+    parts += [Text.assemble(f"{log.log.stem}: ", _verdict(log.verdict)) for log in judged]
     if found.calibration:
         rotor = found.calibration.rotor
         text = (
@@ -74,10 +75,6 @@ def budgets(found: Identification) -> RenderableType:
 def _predicted(found: Identification) -> Iterator[Text]:
     for log, one in found.predicted:
         yield Text(f"{log} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %")
-
-
-def _good(log: Identified) -> bool:
-    return log.verdict.level is Level.GOOD
 
 
 def _verdict(verdict: Verdict) -> Text:

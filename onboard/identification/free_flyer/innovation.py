@@ -93,9 +93,8 @@ class Innovations:
         self.told: deque[ReferenceErrors] = deque(maxlen=_MOST_TOLD)
         further = list(enumerate(predictor.further, 1))
         own = predictor.of_further
-        self._alone = [
-            np.setdiff1d(each, rivals.at) for each in (predictor.of_each[0], *own)
-        ]  # held against one by one
+        each_alone = (predictor.of_each[0], *own)  # held against one by one
+        self._alone = [np.setdiff1d(each, rivals.at) for each in each_alone]
         self._farthest = refused_from(sum(len(each) for each in self._alone))
         self._friction = {  # of torques: what it is multiplied by cannot be negative
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]

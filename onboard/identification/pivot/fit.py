@@ -103,7 +103,8 @@ class PivotModel:
         joints = [geometry.joints.get(joint.name, JointPrior()) for joint in vehicle.joints]
         names = [joint.name for joint in vehicle.joints]
         axes = (vehicle.tree.seat_axes @ vehicle.tree.axis[..., None])[..., 0]  # (wheels, 3)
-        self.stored = axes * np.array([_axial(vehicle, name) for name in names])[:, None]
+        axial = [float((inertia_about_joint(vehicle, name) @ vehicle.chi).sum()) for name in names]
+        self.stored = axes * np.array(axial)[:, None]
         body = [f"moment_{axis}" for axis in "xyz"] + [f"inertia_{of}" for of in ("xx", "xy", "yy", "xz", "yz", "zz")]
         blocks = {
             "body": Unknowns(tuple(body), np.array(wide)),
@@ -305,8 +306,3 @@ def windows_of(ticks: Ticks, held: BoolArray, period_s: float, R_BS: FloatArray)
     measured, sigma = (np.where(np.isfinite(of), of, 1.0) for of in (stacked(ticks.measured), stacked(ticks.sigma)))
     begun = begins[:, :3] @ R_BS.T, up, across, held[[p.start for p in parts]], inside
     return Windows(time_s, stacked(ticks.dq), stacked(ticks.ddq), measured, sigma, used, *begun)
-
-
-def _axial(vehicle: VehicleModel, joint: str) -> float:
-    """Inertia of what a joint turns, about its axis."""
-    return float((inertia_about_joint(vehicle, joint) @ vehicle.chi).sum())

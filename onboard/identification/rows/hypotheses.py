@@ -77,9 +77,7 @@ class Hypotheses:
         self._told_rows: int | None = None  # rows used when a release was reported that is not judged yet
         self._released = False  # a release was accepted: what was released does not come back
         self._contradiction = ""  # between two that leave one instrument out each: it stays
-        self._mixed = dict[
-            Member, float
-        ]()  # weights of those that may be right; empty: the answer is the selected one's
+        self._mixed = dict[Member, float]()  # weights of those that may be right; empty: the selected one is
         self._news: list[Change] = []
 
     @property
@@ -245,8 +243,7 @@ class Hypotheses:
             for member, identifier in self._members.items()
             if member.still_held is not accepted
         }
-        for member in list(findings):
-            del findings[member]
+        findings.clear()
         findings |= {member: identifier.findings() for member, identifier in kept.items()}
         self._members, self._told_rows, self._released = kept, None, accepted
         if not accepted:

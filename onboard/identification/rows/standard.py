@@ -31,9 +31,7 @@ class LinkEstimate(NamedTuple):
     link: str
     mean: FloatArray  # (10,)
     covariance: FloatArray  # (10, 10)
-    body: (
-        RigidBody | None
-    )  # physically possible: the estimate, or the most likely one; None: mass below zero, or not found
+    body: RigidBody | None  # the estimate, or the likeliest possible body; None: mass below zero, or not found
     away: float  # sigmas of a normal that are as rare as the estimate is of any body; zero if possible; inf: none found
 
 

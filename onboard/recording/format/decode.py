@@ -27,9 +27,7 @@ _FEW = 16
 _MOST_ROW_BYTES = 1 << 20  # the longest, of an estimate, has some 20 kB
 FARTHEST_NS = 365 * 86_400 * 10**9  # between two chunks with rows of a channel
 _GAP_FIELDS = [(name, "S24" if name == "cause" else GAP[name]) for name in GAP.names or () if name != "counted"]
-_GAP_BEFORE = np.dtype(
-    _GAP_FIELDS, align=True
-)  # of earlier versions; the bytes of its rows are those of GAP, counted 0
+_GAP_BEFORE = np.dtype(_GAP_FIELDS, align=True)  # of earlier versions; its rows have the bytes of GAP, counted 0
 
 
 class KnownChannel(NamedTuple):

@@ -59,9 +59,7 @@ class _Recorder(TableRun):
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         found = super().update(signals, attached, excluded)
         rate = signals.measured[:, :3] @ self._R_BS.T if self._means else signals.motion.rate_rad_s
-        rate = np.where(
-            np.asarray(excluded)[:, None] == 0, rate, np.nan
-        )  # of what is no free flight nothing is predicted
+        rate = np.where(np.asarray(excluded)[:, None] == 0, rate, np.nan)  # only free flight is predicted
         self.ticks.append(ticks_of(signals, np.concatenate([rate, np.zeros_like(rate)], axis=1)))
         self.attached.append(attached)
         return found

@@ -194,11 +194,10 @@ class _Flight:
         Raises:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
         """
-        names = self._online.ekf.predictor.instruments
-        excluded = set[int]()
+        ekf, excluded = self._online.ekf, set[int]()
+        names = ekf.predictor.instruments
         on_board = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
-        ekf = self._online.ekf
 
         def without(*more: int) -> WholeFlight:
             left_out = {*excluded, *hardly, *more}
@@ -231,9 +230,7 @@ class _Flight:
         doubts += [f"without {names[at]}, which contradicts the others" for at in sorted(excluded)]
         doubts += [f"without {names[at]}, of which {share:.0%} can be used" for at, share in hardly.items()]
         doubts += [jumped_text(", ".join(dict(self._jumps)))] * bool(self._jumps)
-        several = (
-            [f"{' and '.join(names[at] for at in sorted(excluded))} contradict the others"] if len(excluded) > 1 else []
-        )
+        several = [f"{' and '.join(names[at] for at in sorted(excluded))} contradict the others"] * (len(excluded) > 1)
         return made.plus(several, doubts), made.passes
 
     def _shares(self) -> dict[int, float]:

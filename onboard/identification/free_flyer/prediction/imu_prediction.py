@@ -232,9 +232,7 @@ class ImuPredictor:
         self.stated[self.anew_at] = np.nan
         walks = [*((of, DRIFT_MEMORY_s) for _, of in self.biases), *self.wandering]
         self._walking = np.array([of for of, _ in walks], np.intp)
-        self._walked = (
-            2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2
-        )  # per second
+        self._walked = 2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2  # 1/s
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
         at = self._layout[f"gyro_bias_rad_s {one.name}"].start

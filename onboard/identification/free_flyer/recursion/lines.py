@@ -60,9 +60,7 @@ class SlowPower:
         self._window = self._since = np.zeros(2), 0  # squares by sensor, degrees of freedom of each
         self._recent = deque[FloatArray](maxlen=round(_BLOCK_s / _SUMMED_s))
         self._sum, self._summed, self._ticks = np.zeros(_CHANNELS), 0, 0
-        self._ratios: list[tuple[str, float, float]] | None = (
-            None  # sensor, mean power and its chance; None: not computed
-        )
+        self._ratios: list[tuple[str, float, float]] | None = None  # sensor, mean power, its chance; None: not computed
 
     def begin(self, residual: FloatArray) -> None:
         """The filter goes on from a window: its whitened residuals, gyro then accelerometer, (n, 6)."""

@@ -104,9 +104,8 @@ class Pieces:
             self.transition[self._taken.at, len(self._active) + k] += step
         last = first - (-(len(use) - first) // self._left)
         later = self._taken.first[self._taken.first > first].min(initial=len(use))
-        self._done = (
-            int(later) if later < last + BATCH_TICKS else last
-        )  # a step begins with a piece, none is of one tick
+        # a step begins with a piece, none is of one tick
+        self._done = int(later) if later < last + BATCH_TICKS else last
         self._left -= self._done >= last
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
         predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)

@@ -60,9 +60,7 @@ class _Rows(NamedTuple):
 class Fitted(NamedTuple):
     """The considered errors, k of them, after the rows."""
 
-    in_sigmas: dict[
-        str, float
-    ]  # each that is determined, by its name, over its stated sigma and that of its fit together
+    in_sigmas: dict[str, float]  # each that is determined, over its stated sigma and its fit's together
     root: FloatArray  # (k, k) symmetric root of their second moments, in the units of their stated sigmas
     noise: NoiseScale | None = None  # of the rows, beside them; None where none are fitted
 
