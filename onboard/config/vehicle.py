@@ -44,7 +44,7 @@ UNSTATED_BAUD = 1e9  # bit/s of a line whose URL gives no speed: its transmissio
 
 @cache
 def _sections(only: type[DeviceSection] | None) -> TypeAdapter[DeviceSection]:
-    """Reads tables of one kind; None: of every kind, and says of another what it could be."""
+    """Reads tables of one kind; None: of every kind, with an error that lists the kinds."""
     which = DEVICES.values() if only is None else [only]
     return TypeAdapter(Annotated[Union[tuple(which)], Field(discriminator="kind")])  # type: ignore[arg-type]  # noqa: UP007
 

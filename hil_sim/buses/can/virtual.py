@@ -18,7 +18,7 @@ from drivers.ports import CanFrame
 from hil_sim.buses.media import CanBus
 from hil_sim.buses.ports import Port
 
-_looks: Final[dict[str, Callable[[], None]]] = {}  # by channel: what is to come is there afterwards
+_looks: Final[dict[str, Callable[[], None]]] = {}  # by channel: advances its twins, so that all frames due are sent
 _away: set[str] = set()  # channels whose adapter is pulled out
 
 
@@ -85,7 +85,7 @@ class PulledBus(VirtualBus):
 
 @contextlib.contextmanager
 def install_can() -> Iterator[None]:
-    """Virtual buses that are opened meanwhile can be pulled out."""
+    """While in force, adapters of virtual buses that are opened can be pulled out."""
     before = BACKENDS["virtual"]
     BACKENDS["virtual"] = (__name__, PulledBus.__name__)
     try:
@@ -163,7 +163,13 @@ def _message(frame: CanFrame, channel: Any) -> can.Message:
 
 
 class VirtualCanPort(Port):
-    """See ``Port``."""
+    """A bus in this process, at ``can+virtual://CHANNEL``.
+
+    Args:
+        channel: its name.
+        bit_rate: bit/s.
+        seed: of the stamp jitter.
+    """
 
     def __init__(self, channel: str, bit_rate: int, seed: int) -> None:
         self._link = VirtualCan(channel)

@@ -21,9 +21,9 @@ TICK_NS = 1000.0  # the messages count microseconds
 class PoseTrackerDevice(SerialLineDevice):
     """Position and attitude of ``frame`` in the tracker's axes: ATT_POS_MOCAP (138) of motion capture bridges.
 
-    The method of a free base predicts it on board, but of a vehicle with thrusters; where the tracker's axes are and
-    how they are turned is unknown to it. Noise is that of one pose. A pose that repeats the one before to the bit is
-    not valid: the tracker holds it while it does not see the markers.
+    The method of a free base predicts it on board, except for a vehicle with thrusters; place and attitude of the
+    tracker's axes are unknowns. Noise is that of a single pose. A pose that repeats the last one to the bit is not
+    valid: the tracker holds it while it does not see the markers.
     """
 
     about_role = "pose of a free base"

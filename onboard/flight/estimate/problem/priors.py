@@ -27,7 +27,8 @@ UNTOLD_m_s2 = 4e-4
 # Of a free body's IMU: as heft init writes them for a free base. A consumer's chip over its temperatures, once zeroed:
 # the data sheet of the BMI088 has 0.2 mg/K and 0.015 deg/s/K, 50 and 33 K of which these are.
 UNTOLD_BIAS_m_s2, UNTOLD_BIAS_rad_s = 0.1, 8.7e-3
-# Of an arm's base: a degree, the general tolerance of angles of short sides (ISO 2768-1, class m); and g on the ground.
+# Of an arm's base: a degree, the general tolerance of angles of short sides (ISO 2768-1, class m). Relative, of gravity
+# where it is not stated: 9.780 to 9.832 m/s^2 on the ground (WGS 84), as a uniform distribution.
 UNTOLD_LEVEL_rad, _LOCAL_GRAVITY = 0.0175, 1.5e-3
 
 
