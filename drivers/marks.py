@@ -13,10 +13,7 @@ MARK = np.dtype(
         ("host_ns", "<i8"),
         ("tick", "<u8"),  # same clock and unwrapping as the ticks of the device's samples
         ("pulse", "<u8"),  # the device's number of the edge, from 1; 0 where it does not count them
-        (
-            "value_raw",
-            "<i8",
-        ),  # value latched on the edge, counts of its sample channel; 0 if none
+        ("value_raw", "<i8"),  # value latched on the edge, counts of its sample channel; 0 if none
     ],
     align=True,
 )

@@ -95,10 +95,7 @@ GAP = np.dtype(
     align=True,
 )
 
-EVENT = np.dtype(
-    [*_HEAD, ("severity", "u1"), ("code", "S31"), ("source", "S32"), ("text", "S160")],
-    align=True,
-)
+EVENT = np.dtype([*_HEAD, ("severity", "u1"), ("code", "S31"), ("source", "S32"), ("text", "S160")], align=True)
 
 
 class SampleStatus(IntFlag):

@@ -92,10 +92,7 @@ FAULTS: dict[str, dict[str, list[tuple[str, float]]]] = {
         **{f"wrist_{kind}_{axis}": _CAN for kind in ("force", "moment") for axis in "xyz"},
         "can_0": [("frame_drop", 0.0), ("intermittent", 0.1)],
     },
-    "planar": {
-        **{f"joint_{number}": _COLUMN for number in range(1, 6)},
-        "imu_base": _COLUMN,
-    },
+    "planar": {**{f"joint_{number}": _COLUMN for number in range(1, 6)}, "imu_base": _COLUMN},
 }
 ROCKETS = ("rocksat", "rocksat_serial", "rocksat_mixed")
 MISSIONS: dict[str, dict[str, Any]] = {
@@ -119,9 +116,7 @@ _DATASHEET = {"scale_sigma": 0.015, "cross_axis_sigma": 0.01}
 MODEL_ERRORS: dict[str, dict[str, dict[str, Any]]] = {
     "rocket": {
         "tip mass 2 mm off": {"as_built": {"tip_mass": {"centre_off_mm": [2.0, 0.0, 0.0]}}},
-        "tip mass of 150 g, another shape": {
-            "as_built": {"tip_mass": {"mass_factor": 2.2635, "inertia_factor": 1.85}},
-        },
+        "tip mass of 150 g, another shape": {"as_built": {"tip_mass": {"mass_factor": 2.2635, "inertia_factor": 1.85}}},
         "arm 2 mm off": {"as_built": {"arm": {"centre_off_mm": [2.0, 0.0, 0.0]}}},
         "arm 6 % heavier": {"as_built": {"arm": {"mass_factor": 1.06}}},
         "zero 3 mrad off": {"sensor": {"encoder": {"zero_sigma_mrad": 3.0}}},

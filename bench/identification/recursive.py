@@ -64,10 +64,7 @@ def recursive(told: Inputs) -> BodyEstimate | None:
     return told.online.estimate()
 
 
-METHODS: dict[str, Callable[[Inputs], BodyEstimate | None]] = {
-    "maximum likelihood": likelihood,
-    "recursive": recursive,
-}
+METHODS: dict[str, Callable[[Inputs], BodyEstimate | None]] = {"maximum likelihood": likelihood, "recursive": recursive}
 
 
 def flight(seed: int, settings: dict[str, Any]) -> FlightResult:

@@ -7,13 +7,7 @@ is the motor's, of which the gear's friction is a part; over a loss of power who
 
 from drivers.dynamixel.device import DynamixelBus
 from drivers.dynamixel.packet import Block, Reply, answer_bytes, crc16, read_request, sync_read_request
-from drivers.dynamixel.registers import (
-    DynamixelConfig,
-    DynamixelTiming,
-    Present,
-    decode_identity,
-    decode_present,
-)
+from drivers.dynamixel.registers import DynamixelConfig, DynamixelTiming, Present, decode_identity, decode_present
 
 __all__ = [
     "Block",

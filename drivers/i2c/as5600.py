@@ -103,10 +103,7 @@ class As5600(MagnetEncoder):
         )
 
     def _watched(self) -> list[Watched]:
-        return [
-            Watched(CONF_H, FILTER_CODE[self.config.slow_filter], 0, OURS_H),
-            Watched(CONF_L, 0, 0, OURS_L),
-        ]
+        return [Watched(CONF_H, FILTER_CODE[self.config.slow_filter], 0, OURS_H), Watched(CONF_L, 0, 0, OURS_L)]
 
     def _set_up(self) -> Iterator[int]:
         seen = bytes([self._bus.byte(STATUS), self._bus.byte(STATUS + 1), 0])

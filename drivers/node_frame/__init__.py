@@ -5,19 +5,6 @@
 """
 
 from drivers.node_frame.device import NodeFrame
-from drivers.node_frame.frame import (
-    FrameChannel,
-    FrameStream,
-    NodeFrameConfig,
-    decode_descriptor,
-    payload_dtype,
-)
+from drivers.node_frame.frame import FrameChannel, FrameStream, NodeFrameConfig, decode_descriptor, payload_dtype
 
-__all__ = [
-    "FrameChannel",
-    "FrameStream",
-    "NodeFrame",
-    "NodeFrameConfig",
-    "decode_descriptor",
-    "payload_dtype",
-]
+__all__ = ["FrameChannel", "FrameStream", "NodeFrame", "NodeFrameConfig", "decode_descriptor", "payload_dtype"]

@@ -22,12 +22,7 @@ SHORT_BYTES, LONG_BYTES = HEADER_BYTES + 40 + CRC_BYTES, HEADER_BYTES + 120 + CR
 SIGNED = 0x01
 LATEST_US = 1 << 53  # of a time stamp: 285 years
 _CONTENT = np.dtype(
-    [
-        ("time_usec", "<u8"),
-        ("quaternion", "<f4", (4,)),
-        ("position_m", "<f4", (3,)),
-        ("covariance", "<f4", (21,)),
-    ]
+    [("time_usec", "<u8"), ("quaternion", "<f4", (4,)), ("position_m", "<f4", (3,)), ("covariance", "<f4", (21,))]
 )
 
 

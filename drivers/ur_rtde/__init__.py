@@ -8,11 +8,4 @@ payload and the tool taken off, ``ft_raw_wrench`` (e-Series) has not.
 from drivers.ur_rtde.device import RtdeConfig, UrRtde
 from drivers.ur_rtde.packet import PackageStream, RtdeChannel, decode_recipe, decode_text
 
-__all__ = [
-    "PackageStream",
-    "RtdeChannel",
-    "RtdeConfig",
-    "UrRtde",
-    "decode_recipe",
-    "decode_text",
-]
+__all__ = ["PackageStream", "RtdeChannel", "RtdeConfig", "UrRtde", "decode_recipe", "decode_text"]

@@ -184,13 +184,7 @@ class CanBus:
     """
 
     def __init__(
-        self,
-        link: CanLink,
-        bit_rate: int = 500_000,
-        seed: int = 0,
-        *,
-        latency_ns: int = 5_000,
-        jitter_ns: int = 3_000,
+        self, link: CanLink, bit_rate: int = 500_000, seed: int = 0, *, latency_ns: int = 5_000, jitter_ns: int = 3_000
     ) -> None:
         self.dropped = 0
         self.delivered = 0

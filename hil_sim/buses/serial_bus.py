@@ -73,10 +73,7 @@ class _Wire(SerialWire):
     """One that knows which of the device's messages are samples, and tells other stations of all of them."""
 
     def __init__(
-        self,
-        device: SerialStation,
-        sample_length: Callable[[bytes], int],
-        said: "deque[tuple[_Wire, bytes, int]]",
+        self, device: SerialStation, sample_length: Callable[[bytes], int], said: "deque[tuple[_Wire, bytes, int]]"
     ) -> None:
         self._sample_length, self._said = sample_length, said
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way

@@ -85,10 +85,7 @@ def rehearsal(vehicle: str | Path, *overs: Over | None) -> Scenario:
     table = _tables(file, said, drawing)
     table["vehicle"] = {key: said.get(key) for key in ("base", "base_link", "payload_link")}
     table["vehicle"] |= {"urdf": text, "label": urdf.name}
-    table["scenario"] = {
-        "name": str(said.get("name")),
-        "description": f"the rehearsal of {vehicle}",
-    }
+    table["scenario"] = {"name": str(said.get("name")), "description": f"the rehearsal of {vehicle}"}
     for over in overs:
         if over is not None:
             table = _laid_over(table, over)

@@ -44,11 +44,7 @@ class Solid:
 
     def as_truth(self) -> dict[str, Any]:
         """For the truth of a flight."""
-        return {
-            "mass_kg": self.mass_kg,
-            "centre_of_mass_m": self.centre_of_mass_m,
-            "inertia_kg_m2": self.inertia_kg_m2,
-        }
+        return {"mass_kg": self.mass_kg, "centre_of_mass_m": self.centre_of_mass_m, "inertia_kg_m2": self.inertia_kg_m2}
 
     @property
     def principal_kg_m2(self) -> FloatArray:

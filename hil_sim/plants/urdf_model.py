@@ -185,10 +185,7 @@ def _instrument(spec: mujoco.MjSpec, places: Places) -> None:
         for link in links:
             for kind in kinds:
                 spec.add_sensor(
-                    name=f"{kind} {link}",
-                    type=_SENSED[kind],
-                    objtype=mujoco.mjtObj.mjOBJ_SITE,
-                    objname=f"at {link}",
+                    name=f"{kind} {link}", type=_SENSED[kind], objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"at {link}"
                 )
 
     for link in dict.fromkeys((*places.imus, *places.cells, *places.tracked)):

@@ -19,11 +19,7 @@ def add(commands: Commands) -> None:
     mechanics.add_argument("vehicle", help="vehicle.toml, or the name of a packaged vehicle")
     mechanics.add_argument("--tip", metavar="FRAME", help="frame that is moved (default: the payload link)")
     mechanics.add_argument(
-        "--at",
-        action="append",
-        default=[],
-        metavar="JOINT=DEG",
-        help="position of a joint (default 0); m if it slides",
+        "--at", action="append", default=[], metavar="JOINT=DEG", help="position of a joint (default 0); m if it slides"
     )
     mechanics.add_argument("--line", metavar="X,Y,Z", help="move the tip by so many metres in a straight line")
     mechanics.add_argument("--seconds", type=float, default=5.0, metavar="S", help="for --line (default 5)")

@@ -80,10 +80,7 @@ class Handler(logging.Handler):
     def _write(self) -> None:
         while (line := self._lines.get()) is not None:
             if self._unsaid:
-                line, self._unsaid = (
-                    f"{line}\n{self._unsaid} lines before this were lost: the output was blocked",
-                    0,
-                )
+                line, self._unsaid = (f"{line}\n{self._unsaid} lines before this were lost: the output was blocked", 0)
             with contextlib.suppress(OSError, ValueError):  # the reader has gone: the flight continues
                 self._stream.write(f"{line}\n")
                 self._stream.flush()

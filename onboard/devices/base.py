@@ -14,15 +14,7 @@ from drivers.play.player import PlayerConfig
 from drivers.ports import SerialPort, Station
 from drivers.records import Rows
 from onboard.devices import roles
-from onboard.devices.roles import (
-    Correction,
-    ImuRole,
-    JointRole,
-    LoadCellKeys,
-    LoadCellRole,
-    Roles,
-    SmoothedChannel,
-)
+from onboard.devices.roles import Correction, ImuRole, JointRole, LoadCellKeys, LoadCellRole, Roles, SmoothedChannel
 from onboard.section import IDENTITY, Gain, Matrix3, NotNegative, Positive, Section, Vector3
 from onboard.timebase.delays import Delay
 from onboard.timebase.timebase import ChannelClock, FollowerChannel, SyncLine

@@ -104,11 +104,7 @@ class BasePrediction(NamedTuple):
 
 
 def predict_base(
-    links: Frames | Sequence[LinkMotion],
-    period_s: float,
-    chi: FloatArray,
-    momentum: FloatArray,
-    free: tuple[int, ...],
+    links: Frames | Sequence[LinkMotion], period_s: float, chi: FloatArray, momentum: FloatArray, free: tuple[int, ...]
 ) -> BasePrediction:
     """Predicts the base's motion on an even grid of ticks (Limparis 2.84-2.93, 3.6-3.8).
 

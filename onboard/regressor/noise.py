@@ -57,12 +57,7 @@ class RowNoise:
         return self._at(signals, noise, np.array(ticks), attached, mean), group
 
     def _at(
-        self,
-        signals: Signals,
-        noise: SignalNoise,
-        at: NDArray[np.intp],
-        attached: BoolArray,
-        mean: FloatArray | None,
+        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray, mean: FloatArray | None
     ) -> FloatArray:
         """The same at each of some ticks, (t, rows, s, p + 1), by finite differences one standard deviation wide."""
         R_BS, p_BS = self._imu_pose

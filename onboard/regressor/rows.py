@@ -193,11 +193,7 @@ class RowModel:
     """
 
     def __init__(
-        self,
-        vehicle: VehicleModel,
-        rows: Sequence[WrenchRow],
-        zero_force: bool = False,
-        motors: Sequence[Motor] = (),
+        self, vehicle: VehicleModel, rows: Sequence[WrenchRow], zero_force: bool = False, motors: Sequence[Motor] = ()
     ) -> None:
         self.vehicle = vehicle
         self.rows = tuple(rows)

@@ -197,11 +197,7 @@ REPORT = PacketKind("report", "a command was accepted (subtype 1), is begun (3),
 FAILURE = PacketKind(
     "failure",
     "a command was not accepted (subtype 2), or could not be completed (8)",
-    (
-        *_REQUEST,
-        Field("code", "B", "why", choices=REFUSALS),
-        Field("why", "64s", "and what to do"),
-    ),
+    (*_REQUEST, Field("code", "B", "why", choices=REFUSALS), Field("why", "64s", "and what to do")),
     _PUS,
 )
 KINDS = {kind.name: kind for kind in (STATUS, ANSWER, PHASE, EVENT, REASON, FLIGHT, REPORT, FAILURE)}
@@ -238,10 +234,7 @@ def encode(kind: PacketKind, apid: int, count: int, session: int, at_ns: int, va
     seconds, rest_ns = divmod(at_ns, 1_000_000_000)
     fraction = rest_ns * FRACTION // 1_000_000_000
     head = SpacePacketHeader.tm(
-        apid=apid,
-        seq_count=count % COUNTS,
-        data_len=kind.length - HEADER_BYTES - 1,
-        sec_header_flag=True,
+        apid=apid, seq_count=count % COUNTS, data_len=kind.length - HEADER_BYTES - 1, sec_header_flag=True
     ).pack()
     secondary = SECONDARY.pack(P_FIELD, seconds % (1 << 32), fraction.to_bytes(3, "big"), VERSION, session)
     body = bytes(head) + _packed(kind.lead, values) + secondary + _packed(kind.fields, values)

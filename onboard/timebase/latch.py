@@ -14,10 +14,7 @@ from drivers.records import Rows
 class LatchedCounts:
     """Positions by tick, and interpolation of latched counts among them."""
 
-    REACH_TICKS, FEWEST = (
-        10,
-        4,
-    )  # samples used on either side of the edge: within so many ticks, at least so many
+    REACH_TICKS, FEWEST = (10, 4)  # samples used on either side of the edge: within so many ticks, at least so many
     BUSY_TICKS = 4  # samples in the ticks just after an edge are delayed by the busy line
     COUNTS = 1.0  # quantisation of the latched count and its neighbours, which may be rounded alike
     HELD = 512

@@ -119,11 +119,7 @@ class SlcanPort:
     """
 
     def __init__(
-        self,
-        port: SerialPort,
-        clock: Callable[[], int],
-        wait: Callable[[float], object],
-        descriptor: int | None = None,
+        self, port: SerialPort, clock: Callable[[], int], wait: Callable[[float], object], descriptor: int | None = None
     ) -> None:
         self._port, self._descriptor = port, descriptor
         self._clock = clock

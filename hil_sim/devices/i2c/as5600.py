@@ -47,11 +47,7 @@ class As5600Twin(MagnetTwin):
         return super()._following(register)
 
     def _is_reading(self, write: bytes, read_count: int) -> bool:
-        return read_count > 1 and write[:1] in (
-            b"\x0b",
-            b"\x0c",
-            b"\x0e",
-        )
+        return read_count > 1 and write[:1] in (b"\x0b", b"\x0c", b"\x0e")
 
     def _sense(self, field: float, time_s: float) -> None:
         weak, strong = field < WEAK, field > STRONG

@@ -50,13 +50,7 @@ class NetBox(NetworkedTwin[int]):
     error: ClassVar[int] = 0x8000_0000  # its status beyond its range
 
     def __init__(
-        self,
-        inputs: Mapping[int, Input],
-        clock: ChipClock,
-        start_ns: int,
-        *,
-        rate_hz: float = 1000.0,
-        **options: Any,
+        self, inputs: Mapping[int, Input], clock: ChipClock, start_ns: int, *, rate_hz: float = 1000.0, **options: Any
     ) -> None:
         self._period_ns = 1e9 / rate_hz
         self._next = 0  # number of the next record since power-up, at its rate

@@ -29,12 +29,7 @@ class SerialTwin(PoweredTwin):
         self.line = line
         self.powered = False
         faults.require(
-            FaultKind.OFF,
-            FaultKind.RESET,
-            FaultKind.SILENT,
-            FaultKind.INTERMITTENT,
-            FaultKind.GARBAGE,
-            *extra_faults,
+            FaultKind.OFF, FaultKind.RESET, FaultKind.SILENT, FaultKind.INTERMITTENT, FaultKind.GARBAGE, *extra_faults
         )
         self._garbage = faults.rng()
         self._transmit: Transmit | None = None

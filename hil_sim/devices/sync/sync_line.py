@@ -39,11 +39,7 @@ class EdgeCapture:
             FaultError: a fault that the line cannot have.
         """
         self._faults = faults.require(
-            FaultKind.PULSE_DROP,
-            FaultKind.PULSE_SPURIOUS,
-            FaultKind.INTERMITTENT,
-            FaultKind.DELAYED,
-            FaultKind.GARBAGE,
+            FaultKind.PULSE_DROP, FaultKind.PULSE_SPURIOUS, FaultKind.INTERMITTENT, FaultKind.DELAYED, FaultKind.GARBAGE
         )
         for window in faults.windows:
             if window.kind is FaultKind.GARBAGE and not (0.0 < window.value <= _MOST_CHATTER and window.end_ns < NEVER):

@@ -86,11 +86,7 @@ def _add_stop(spec: mujoco.MjSpec, bare: mujoco.MjModel, drawing: PlantDrawing, 
     boss, face = f"stop {index} boss", f"stop {index}"
     alone: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
     spec.body(link.name).add_geom(
-        name=boss,
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[_BOSS_m, 0.0, 0.0],
-        pos=1e-3 * stop.radius_mm * out,
-        **alone,
+        name=boss, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BOSS_m, 0.0, 0.0], pos=1e-3 * stop.radius_mm * out, **alone
     )
     spec.body(bare.body(int(link.parentid[0])).name).add_geom(
         name=face,

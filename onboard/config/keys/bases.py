@@ -11,10 +11,7 @@ PARABOLA: dict[str, tuple[str, ...]] = {
 }
 
 PLANAR: dict[str, tuple[str, ...]] = {
-    "tilt_sigma_m_s2": (
-        "Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.",
-        "the table is level",
-    ),
+    "tilt_sigma_m_s2": ("Gravity along the table, 1 sigma by axis; a milliradian is 0.01 m/s^2.", "the table is level"),
     "velocity_sigma_m_s": ("Velocity of the base where a run begins, 1 sigma by axis.", "runs begin in motion"),
     "rate_sigma_rad_s": ("The same of its yaw rate.", "as above"),
     "sag_sigma": (

@@ -29,8 +29,7 @@ class Cia402Device(CanopenNodeDevice, MotorDevice, DrivenDevice):
     kind: Literal["cia402"]
     counts_per_revolution: Annotated[int, Field(gt=0)]
     velocity_scale_rad_s: Annotated[
-        float | None,
-        Field(description="Unit of velocity of the drive, of the joint; counts a second where not given."),
+        float | None, Field(description="Unit of velocity of the drive, of the joint; counts a second where not given.")
     ] = None
     rated_torque_N_m: Annotated[  # noqa: N815
         float | None, Field(description="Rated torque of the motor; read from the drive (6076h) where not given.")

@@ -28,8 +28,7 @@ class ModbusLoadCellDevice(PolledLoadCellDevice):
     address: Annotated[int, Field(ge=1, le=247)] = ModbusLoadCellConfig.address
     values: tuple[Literal["gross", "net"], ...] = ("gross",)
     scale: Annotated[
-        float | None,
-        Field(description="`unit` per count; where not given, the transmitter's division and unit."),
+        float | None, Field(description="`unit` per count; where not given, the transmitter's division and unit.")
     ] = None
     unit: str | None = None
     sign: Literal["status", "twos_complement", "positive"] = "status"

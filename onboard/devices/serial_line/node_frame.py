@@ -37,8 +37,7 @@ class NodeFrameDevice(SerialLineDevice):
     tick_hz: Positive
     rate_hz: Positive
     frame: Annotated[
-        str | None,
-        Field(description="Link, joint or frame of the URDF that its gyro and accel channels measure in."),
+        str | None, Field(description="Link, joint or frame of the URDF that its gyro and accel channels measure in.")
     ] = None
     channel: Annotated[tuple[NodeChannel, ...], Field(min_length=1)]
     poll_period_ms: PollPeriod = NodeFrameConfig.poll_period_ms

@@ -60,11 +60,7 @@ def fourier_path(q_start: FloatArray, coefficients: FloatArray) -> JointPath:
 
 
 def reorient(
-    arm: FloatingArm,
-    q_start: FloatArray,
-    rotation_vector: FloatArray,
-    most_cycles: int = 64,
-    harmonics: int = 2,
+    arm: FloatingArm, q_start: FloatArray, rotation_vector: FloatArray, most_cycles: int = 64, harmonics: int = 2
 ) -> Reorientation:
     """Arm cycles that turn the base by ``rotation_vector`` and return the arm (2.100; search derived here).
 

@@ -125,12 +125,7 @@ def desk_tests(
 
 
 def _tested(
-    vehicle: config.Vehicle,
-    device: BusDevice,
-    check: Check,
-    rows: dict[str, Rows],
-    seconds: float,
-    of_bus: list[str],
+    vehicle: config.Vehicle, device: BusDevice, check: Check, rows: dict[str, Rows], seconds: float, of_bus: list[str]
 ) -> DeskTest:
     channels = [(name, rows[name]) for name in device.channels(check.device) if name in rows]
     first = rows.get(next(iter(device.channels(check.device))), np.zeros(0, device.records))

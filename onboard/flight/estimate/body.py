@@ -20,10 +20,7 @@ _OF_BODY = {
     "common_force": "body.common_force_sigma",
     "loss": "body.loss_sigma_ms",
     "drag": "body.drag_sigma_1_s",
-} | {
-    "spin_drag": "body.spin_drag_sigma_1_s",
-    "tilt": "body.tilt_sigma_m_s2",
-}
+} | {"spin_drag": "body.spin_drag_sigma_1_s", "tilt": "body.tilt_sigma_m_s2"}
 _OF_THRUSTERS = {
     "scale": "device.{}.scale_sigma",
     "turn": "body.turn_sigma_rad",

@@ -35,11 +35,7 @@ LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds ho
 
 def estimation_channels(estimator: Estimator) -> dict[str, np.dtype[np.void]]:
     """Channels that the estimation worker writes."""
-    return {
-        **estimator.outputs,
-        "tick": channels.tick_dtype(len(estimator.inputs)),
-        "event" + SUFFIX: records.EVENT,
-    }
+    return {**estimator.outputs, "tick": channels.tick_dtype(len(estimator.inputs)), "event" + SUFFIX: records.EVENT}
 
 
 def answer_rates_hz(estimator: Estimator) -> dict[str, float]:

@@ -107,11 +107,7 @@ def open_recorder(
         told=keep,
     )
     space = SpaceGuard(
-        manifest.log.parent,
-        manifest.log,
-        manifest.preamble.flight,
-        min_free=min_free_bytes,
-        reserve=kept.reserve_bytes,
+        manifest.log.parent, manifest.log, manifest.preamble.flight, min_free=min_free_bytes, reserve=kept.reserve_bytes
     )
     readers = ring_readers(manifest.directory)
     return Recorder(writer, readers, recorded=writer.recorded, space=space, said=said, losses=writer.take_losses)

@@ -93,11 +93,7 @@ def plan_of(vehicle: config.Vehicle, new_log: Path, *, fresh: bool = False) -> F
 
 
 def _flight(
-    vehicle: config.Vehicle,
-    log: Path,
-    servers: "Servers",
-    duration_s: float | None,
-    listeners: "_Listeners",
+    vehicle: config.Vehicle, log: Path, servers: "Servers", duration_s: float | None, listeners: "_Listeners"
 ) -> Flight:
     """Fly with workers that ``servers`` fork."""
     estimation = servers.estimation_rings()

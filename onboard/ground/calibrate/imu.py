@@ -9,13 +9,7 @@ import numpy as np
 from onboard import config
 from onboard.devices.base import ImuDevice
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.calibration.imu import (
-    RestBias,
-    TriadCalibration,
-    rest_bias,
-    six_positions,
-    turns,
-)
+from onboard.estimation.calibration.imu import RestBias, TriadCalibration, rest_bias, six_positions, turns
 from onboard.estimation.errors import CalibrationError
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation

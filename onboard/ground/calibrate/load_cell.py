@@ -95,12 +95,7 @@ def calibrate_load_cell(
 
 
 def _lever(
-    result: Calibration,
-    table: tuple[str, ...],
-    section: LoadCellKeys,
-    hung: HungMasses,
-    slope: float,
-    common: float,
+    result: Calibration, table: tuple[str, ...], section: LoadCellKeys, hung: HungMasses, slope: float, common: float
 ) -> None:
     """``reading = m g arm / lever``: the lever, its scale in it."""
     assert hung.arm_m is not None

@@ -63,10 +63,7 @@ class _Way(NamedTuple):
 
 
 def others(
-    model: BodyModel,
-    poses: TrackedPoses,
-    known_s: tuple[float, float],
-    unknown: Sequence[tuple[float, float]] = (),
+    model: BodyModel, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
 ) -> Iterator[Interpretation]:
     """Ways to read a recording otherwise that leave much less of it, the likeliest of one, two and three mistakes.
 

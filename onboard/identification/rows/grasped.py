@@ -18,13 +18,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.policy import contradicted_text, sigmas
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import refused_from
-from onboard.identification.quantities import (
-    BODY,
-    BODY_UNITS,
-    SUPPORTED_FREEDOM,
-    SUPPORTED_SHRINKAGE,
-    QuantityEstimate,
-)
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, QuantityEstimate
 from onboard.identification.rows.stated_errors.drawing import Unstated
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel

@@ -18,13 +18,7 @@ from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.change import Change
-from onboard.identification.quantities import (
-    SUPPORTED_FREEDOM,
-    SUPPORTED_SHRINKAGE,
-    Estimate,
-    Findings,
-    Quantity,
-)
+from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Estimate, Findings, Quantity
 from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits, with_stated
 from onboard.identification.rows.checks.prediction import prediction, without_unknown
 from onboard.identification.rows.checks.suspects import RowSuspects

@@ -65,11 +65,7 @@ class AirBearingBase:
     """
 
     def __init__(
-        self,
-        vehicle: VehicleModel,
-        signals: FlightSignals,
-        prior: AirBearingPrior,
-        offsets: FloatArray | None = None,
+        self, vehicle: VehicleModel, signals: FlightSignals, prior: AirBearingPrior, offsets: FloatArray | None = None
     ) -> None:
         self.rounding_m_s = ROUNDING_m_s
         if vehicle.spec.base is not BaseKind.PLANAR:

@@ -98,11 +98,7 @@ def _unknown(run: TableFit) -> tuple[tuple[str, ...], FloatArray]:
 
 def _normal(run: TableFit, x: FloatArray, further: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (m,), their derivative by parameters and errors, (m, p + k + c), and the information on these."""
-    sigma, (r, J), own = (
-        np.append(run.joints.sigma, run.cyclic.sigma),
-        run.residuals(x),
-        run.joints.sigma.size,
-    )
+    sigma, (r, J), own = (np.append(run.joints.sigma, run.cyclic.sigma), run.residuals(x), run.joints.sigma.size)
     columns = [J]
     for place in np.flatnonzero(sigma > 0.0):
         each = np.where(np.arange(sigma.size) == place, sigma, 0.0)

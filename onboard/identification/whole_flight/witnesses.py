@@ -24,14 +24,7 @@ from onboard.dynamics.model.payload import body_estimate, body_jacobian
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.maximum_likelihood import ROUNDS
-from onboard.estimation.policy import (
-    DOUBT,
-    LEAST_WEIGHT,
-    REFUSE,
-    chance_text,
-    of_each,
-    tails,
-)
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, REFUSE, chance_text, of_each, tails
 from onboard.identification.corrections import contradicted, expected_sigma, misfit_texts, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE

@@ -28,11 +28,7 @@ class PackedChannel:
     """
 
     def __init__(
-        self,
-        schema: mcap_format.Schema,
-        channel: mcap_format.Channel,
-        dtype: np.dtype[np.void],
-        utc_offset_ns: int = 0,
+        self, schema: mcap_format.Schema, channel: mcap_format.Channel, dtype: np.dtype[np.void], utc_offset_ns: int = 0
     ) -> None:
         self._utc_offset_ns = np.int64(utc_offset_ns)
         self.schema, self.channel, self.dtype = schema, channel, dtype

@@ -15,12 +15,7 @@ from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 _OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
     f"place_{axis}": "position_m" for axis in "xyz"
 }
-_OF_CELLS = {
-    "scale": "scale_sigma",
-    "bias": "zero_sigma_N",
-    "drift": "zero_drift_N_s",
-    "delay_s": "delay_sigma_ms",
-}
+_OF_CELLS = {"scale": "scale_sigma", "bias": "zero_sigma_N", "drift": "zero_drift_N_s", "delay_s": "delay_sigma_ms"}
 
 
 class SigmaKeys(NamedTuple):

@@ -17,10 +17,7 @@ RECORDED = "recorded"  # by somebody else: an import brings it in
 CAN, GPIO = "can_0", "sync_line"
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")  # of a wrist sensor, each a device
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
-URLS = {
-    CAN: "can+socketcan://can0?bitrate=500000",
-    GPIO: "gpio:///dev/gpiochip0?line=17",
-}
+URLS = {CAN: "can+socketcan://can0?bitrate=500000", GPIO: "gpio:///dev/gpiochip0?line=17"}
 
 
 class NewDevice(NamedTuple):

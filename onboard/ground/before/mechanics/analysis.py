@@ -15,12 +15,7 @@ import pinocchio as pin
 
 from onboard import config
 from onboard.dynamics.mechanics import nonholonomic, virtual_manipulator, workspace
-from onboard.dynamics.mechanics.base_parameter_count import (
-    Count,
-    fixed_base_count,
-    free_base_count,
-    planar_base_count,
-)
+from onboard.dynamics.mechanics.base_parameter_count import Count, fixed_base_count, free_base_count, planar_base_count
 from onboard.dynamics.mechanics.chain import SerialChain, chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import TipMotion, follow, straight_line

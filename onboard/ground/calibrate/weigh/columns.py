@@ -190,7 +190,7 @@ def _said_kind(table: WeighTable, kind: str, said: str) -> str:
             "matrix": said == "matrix",
             "joints": False,
             "up": False,
-        },
+        }
     }.get(kind, not quaternions and said != "matrix")
     if not fits:
         raise PosesError(f"{table.label}: --orientation {said}, but its columns are {kind.rstrip('?')}: leave it out")

@@ -139,10 +139,7 @@ def _together(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
     for name, one in columns.items():
         topic, _, field = name.rpartition(":")
         topics.setdefault(topic, {})[field] = one
-    clock = next(
-        (time for time in TIMES if all(time in of for of in topics.values() if len(of) > 1)),
-        "log_time",
-    )
+    clock = next((time for time in TIMES if all(time in of for of in topics.values() if len(of) > 1)), "log_time")
     own = next((topic for topic, of in topics.items() if any(re.search(r"force\.?x|wrench", each) for each in of)), "")
     at = topics.get(own, {}).get(clock)
     if at is None:

@@ -12,12 +12,7 @@ from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import (
-    HALF,
-    INTERVAL,
-    MOST_CONTRADICTED,
-    contradicted_text,
-)
+from onboard.estimation.policy import HALF, INTERVAL, MOST_CONTRADICTED, contradicted_text
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.identification import build_model

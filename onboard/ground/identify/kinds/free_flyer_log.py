@@ -31,13 +31,7 @@ from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.change import Change, CONTACT_s
-from onboard.identification.free_flyer.before_capture import (
-    ANNOUNCED_s,
-    BeforeCapture,
-    Payload,
-    Zeros,
-    before_capture,
-)
+from onboard.identification.free_flyer.before_capture import ANNOUNCED_s, BeforeCapture, Payload, Zeros, before_capture
 from onboard.identification.free_flyer.misread import mistaken
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE

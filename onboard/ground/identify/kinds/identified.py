@@ -173,11 +173,7 @@ def _before(one: BeforeCapture) -> dict[str, Any]:
 def _predictions(held_out: HeldOut | None) -> dict[str, Any] | None:
     if held_out is None:
         return None
-    parts = {
-        "later_from_earlier": held_out.later,
-        "earlier_from_later": held_out.earlier,
-        "all_from_all": held_out.fit,
-    }
+    parts = {"later_from_earlier": held_out.later, "earlier_from_later": held_out.earlier, "all_from_all": held_out.fit}
     return {name: prediction._asdict() for name, prediction in parts.items()}
 
 

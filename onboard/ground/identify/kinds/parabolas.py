@@ -120,13 +120,7 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[ParabolaRun]:
 
 
 def _run(
-    number: int,
-    parts: Sequence[slice],
-    ticks: Ticks,
-    at: Any,
-    joints: BoolArray,
-    period_s: float,
-    settings: Parabola,
+    number: int, parts: Sequence[slice], ticks: Ticks, at: Any, joints: BoolArray, period_s: float, settings: Parabola
 ) -> ParabolaRun:
     time_s, margin = ticks.time_s, round(settings.settle_s / period_s)
     release_s, catch_s = float(time_s[parts[0].start]), float(time_s[parts[-1].stop - 1])

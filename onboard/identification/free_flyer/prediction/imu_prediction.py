@@ -36,13 +36,7 @@ from onboard.identification.free_flyer.prediction.further import (
     cuts_of,
     left_of,
 )
-from onboard.identification.free_flyer.prediction.imu_errors import (
-    SIZE,
-    ImuPrior,
-    drift_of,
-    imu_blocks,
-    weight_of,
-)
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, ImuPrior, drift_of, imu_blocks, weight_of
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.parameters import (
     EXACT_GEOMETRY,

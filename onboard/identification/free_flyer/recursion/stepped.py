@@ -62,10 +62,7 @@ class SteppedTicks:
             known: before the window.
             grown: it has.
         """
-        length_s, held = (
-            2.0 * float(ticks.time_s[-1] - ticks.time_s[0]),
-            solved.hypothesis is not HeldPayload.NOTHING,
-        )
+        length_s, held = (2.0 * float(ticks.time_s[-1] - ticks.time_s[0]), solved.hypothesis is not HeldPayload.NOTHING)
         well = solved.hypothesis is HeldPayload.SAME or (not held and _knows_zeros(predictor, known))
         # noise drives the bends of flexible joints: steps count that, a window does not
         if well or length_s > 1.01 * _LONGEST_s or predictor.bends.size:

@@ -102,11 +102,7 @@ class Unstated(NamedTuple):
 
 
 def unstated(
-    quantities: Sequence[Quantity],
-    jackknife: JackknifeEstimate,
-    blocks: RowBlocks,
-    body: FloatArray,
-    prior: FloatArray,
+    quantities: Sequence[Quantity], jackknife: JackknifeEstimate, blocks: RowBlocks, body: FloatArray, prior: FloatArray
 ) -> FloatArray:
     """What a scale that no key states does to the estimate, (h, p): one sigma for each way in which it can be wrong.
 

@@ -171,12 +171,7 @@ class FittedCorrections:
         return Fitted(named, *self._second_moments(blocks, prior, side, steady, stated))
 
     def _second_moments(
-        self,
-        blocks: BlockScores,
-        prior: FloatArray,
-        right: FloatArray,
-        of: NDArray[np.intp],
-        stated: FloatArray,
+        self, blocks: BlockScores, prior: FloatArray, right: FloatArray, of: NDArray[np.intp], stated: FloatArray
     ) -> tuple[FloatArray, NoiseScale]:
         """Root of the errors' second moments, (k, k), of some as fitted, and of the others as stated.
 

@@ -61,14 +61,7 @@ def _named(
     more = ", ".join(f"{block[0].name} to {block[-1].name}" for block in blocks[len(kinds) :])
     unit = ": N m, or A of the motors' currents" + (f"; or columns {more}" if more else "")
     groups = [
-        Group(
-            kind,
-            (kind,),
-            "",
-            dict(zip(labels, block, strict=False)),
-            False,
-            own and own + unit * (kind == "torque"),
-        )
+        Group(kind, (kind,), "", dict(zip(labels, block, strict=False)), False, own and own + unit * (kind == "torque"))
         for kind, own, block in zip(kinds, why, blocks, strict=False)
     ]
     used = {one.name for block in blocks[: len(kinds)] for one in block}

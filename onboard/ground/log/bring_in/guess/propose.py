@@ -193,10 +193,7 @@ class _Maker:
         if one is not main and one.clock is None:
             self._leave([name for group in one.groups for name in group.called], "no column of times goes with it")
             return
-        of_vehicle = (
-            *of_a_body(one, self._vehicle.body, time),
-            *of_wheels(one.columns, self._vehicle.wheels, time),
-        )
+        of_vehicle = (*of_a_body(one, self._vehicle.body, time), *of_wheels(one.columns, self._vehicle.wheels, time))
         for name, column, part in of_vehicle:
             self.names.append(name)
             self.parts.append(part)
