@@ -48,7 +48,7 @@ from onboard.identification.whole_flight.blocks import (
     sum_of,
     total_of,
 )
-from onboard.identification.whole_flight.segments import Segment, divided, others_in
+from onboard.identification.whole_flight.segments import Changed, Segment, divided, others_in
 from onboard.identification.windows import SHORTEST, WINDOW_s
 
 _BLOCK_TICKS = 200
@@ -98,7 +98,7 @@ class WholeFlight:
         payload_sigma: FloatArray,
         segments: Sequence[Segment],
         without: Collection[int] = (),
-        changed: Sequence[tuple[float, Sequence[OtherError]]] = (),
+        changed: Sequence[Changed] = (),
     ) -> None:
         self._given = predictor, payload_sigma, without, changed
         self.predictor, self.further, self.key_of = predictor, predictor.further, predictor.key_of

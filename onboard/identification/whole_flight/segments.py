@@ -1,4 +1,4 @@
-"""Segments of a flight, in windows where they are too long to be predicted; encoders that are others in some."""
+"""Segments of a flight, in windows where they are too long to be predicted; errors that are others in some."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,9 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.steps import OtherError
 from onboard.identification.windows import SHORTEST, WINDOW_s
+
+Changed = tuple[float, Sequence[OtherError]]  # from when on, s, errors may be others
 
 
 class Segment(NamedTuple):
@@ -38,6 +41,36 @@ def in_windows(segments: Sequence[Segment], period_s: float) -> list[Segment]:
     return found
 
 
+def pushed(predictor: ImuPredictor, segments: Sequence[Segment]) -> tuple[list[Segment], list[Changed]]:
+    """The same ticks in windows, and what pushes the base unknown as another one in each; nothing where it is known.
+
+    Drag turns in the base's axes as the base turns: a constant push leaves of it what a payload then takes. From window
+    to window it changes as the filter's first-order Gauss-Markov process of sigma s and correlation time T does in the
+    time t between them, by ``s sqrt(2 (1 - exp(-t / T)))``.
+
+    Args:
+        predictor: of the vehicle's instruments.
+        segments: in the order of their times.
+    """
+    memory_s = dict(predictor.fading)
+    unknown = [at for at, _ in predictor.pushes if predictor.sigma[at] > 0.0]
+    if not unknown:
+        return [*segments], []
+    windows = in_windows(segments, predictor.period_s)
+    changed = list[Changed]()
+    for before, one in pairwise(windows):
+        begins_s, since_s = float(one.ticks.time_s[0]), float(before.ticks.time_s[0])
+        sigma = [
+            predictor.sigma[at] * np.sqrt(2.0 * (1.0 - np.exp((since_s - begins_s) / memory_s[at]))) for at in unknown
+        ]
+        others = [
+            OtherError(predictor.names[at], np.array([at]), np.array([size]))
+            for at, size in zip(unknown, sigma, strict=True)
+        ]
+        changed.append((begins_s, others))
+    return windows, changed
+
+
 def divided(segments: Sequence[Segment], without: Sequence[slice], when_s: tuple[float, float, float]) -> list[Segment]:
     """The same ticks, none of a segment before a time and others after it.
 
@@ -56,9 +89,7 @@ def divided(segments: Sequence[Segment], without: Sequence[slice], when_s: tuple
     return found
 
 
-def others_in(
-    segments: Sequence[Segment], changed: Sequence[tuple[float, Sequence[OtherError]]], size: int
-) -> tuple[list[str], FloatArray]:
+def others_in(segments: Sequence[Segment], changed: Sequence[Changed], size: int) -> tuple[list[str], FloatArray]:
     """What may be other errors from some times on, of unit normal prior, in segments of a flight.
 
     Args:

@@ -38,7 +38,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD,
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.segments import Segment, in_windows
+from onboard.identification.whole_flight.segments import Segment, in_windows, pushed
 from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
 from onboard.identification.windows import STAGES_s
 from onboard.recording.reader import LogReader
@@ -192,10 +192,12 @@ class _Flight:
         names = ekf.predictor.instruments
         on_board = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
+        parts, pushes = pushed(ekf.predictor, segments)
+        changed = sorted([*self._jumped, *pushes], key=lambda one: one[0])
 
         def without(*more: int) -> WholeFlight:
             left_out = {*excluded, *hardly, *more}
-            return WholeFlight(ekf.predictor, ekf.payload_sigma, segments, left_out, self._jumped)
+            return WholeFlight(ekf.predictor, ekf.payload_sigma, parts, left_out, changed)
 
         failure: Exception | None = None
         for left_out in [set[int](), *([on_board] if on_board else [])]:  # that it was wrong may be known better now

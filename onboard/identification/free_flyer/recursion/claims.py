@@ -29,9 +29,9 @@ def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False, *, 
         before: a payload was held.
         hypothesis: explains the window after it.
         instrument: an instrument was found to be wrong, and is left out of that window.
-        altered: it explains it with a payload a part of which has come off or been added.
+        altered: it explains it with a payload of which a part has come off or been added, if one was held.
     """
-    if altered:
+    if altered and before:
         return "altered"
     return "instrument" if instrument and hypothesis is not HeldPayload.NEW else _KINDS[before, hypothesis]
 
