@@ -92,6 +92,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mapping = re.sub(r'column = "joint_link_(\d)_torque"', r'column = "tau\1"', mapping)
     (root / "v" / "import.toml").write_text(re.sub(r'column = "joint_link_(\d)"', r'column = "q\1"', mapping))
     text = (root / "v" / "vehicle.toml").read_text().replace("# smoothing_ms = 100", "smoothing_ms = 100")
+    text = text.replace(
+        "[estimation]\n", "[estimation]\nlevel_sigma_rad = 0  # it was levelled: else link_1 is not told\n"
+    )
     text += f"\n[link.link_2]\nmass_kg = {0.7 * links[2].mass}  # in place of the URDF's\n"
     (root / "v" / "vehicle.toml").write_text(text)
     return root

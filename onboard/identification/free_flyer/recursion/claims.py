@@ -31,7 +31,7 @@ def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False, *, 
         instrument: an instrument was found to be wrong, and is left out of that window.
         altered: it explains it with a payload of which a part has come off or been added, if one was held.
     """
-    if altered and before:
+    if altered and (before or hypothesis is HeldPayload.SAME):
         return "altered"
     return "instrument" if instrument and hypothesis is not HeldPayload.NEW else _KINDS[before, hypothesis]
 
