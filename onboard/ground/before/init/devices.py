@@ -171,7 +171,8 @@ class OfTorque(NamedTuple):
     offset: float  # N m
 
 
-IN_GRAVITY, FREE = OfTorque(1.0, 5.0, 1.0), OfTorque(0.1, 0.5, 0.1)  # arms of 10 N m or some more
+IN_GRAVITY, FREE = OfTorque(1.0, 5.0, 1.0), OfTorque(0.1, 0.5, 0.1)  # arms of USUAL_N_m or some more
+USUAL_N_m = 10.0  # a stronger joint's gear loses more: a free arm's friction and offset are in proportion
 OF_LARGEST = OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears of 100 and more lose as much
 
 

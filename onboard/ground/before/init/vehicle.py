@@ -288,12 +288,16 @@ row_noise = "by_frequency"     # what differentiated encoders add at high freque
 
 
 def _torque_sigmas(wanted: NewVehicle, usual: devices.OfTorque) -> dict[str, float]:
-    """Of what joints add to their torques, by the names of the columns; of a recorded arm by its largest torques."""
+    """Of what joints add to their torques, by the names of the columns; of a recorded or free arm by its largest."""
     own: dict[str, float] = {}
     for number, joint in enumerate(wanted.joints, 1):
         each, bias = usual, f"bias_{devices.device_of(number, joint)}_torque"
         if wanted.recorded:
             each = devices.OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in devices.OF_LARGEST))
+        elif usual is devices.FREE:
+            more = max(1.0, _largest(wanted, number) / devices.USUAL_N_m)
+            friction, offset = (float(f"{more * part:.2g}") for part in (each.friction, each.offset))
+            each = each._replace(friction=friction, offset=offset)
         own |= {f"Ia_{joint}": each.rotor, f"Fv_{joint}": each.friction, f"Fc_{joint}": each.friction}
         own[bias] = each.offset
     return own

@@ -217,6 +217,16 @@ def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) ->
     assert cli.main([*asked[:-1], str(silent)]) == cli.BAD_INPUT
 
 
+def test_friction_of_a_free_arm_s_drives_is_in_proportion_to_their_largest_torques(tmp_path: Path) -> None:
+    """A drive of 60 N m was stated to lose 0.5: a healthy rehearsal, which draws 1.2, was refused."""
+    urdf = Path(__file__).parents[3] / "flight" / "own" / "bench_arm.urdf"  # 60, 60, 40, 15, 15 and 8 N m
+    asked = ["init", str(tmp_path), "--base", "free", "--encoder", "cia402", "--urdf", str(urdf)]
+    assert cli.main(asked) == cli.OK
+    own = tomllib.loads((tmp_path / "vehicle.toml").read_text())["estimation"]["prior"]["absolute"]
+    for kind, sigmas in (("Fc_", [3.0, 3.0, 2.0, 0.75, 0.75, 0.5]), ("bias_", [0.6, 0.6, 0.4, 0.15, 0.15, 0.1])):
+        assert [value for name, value in own.items() if name.startswith(kind)] == sigmas
+
+
 def test_the_sigma_of_a_torque_of_which_a_free_base_takes_means_over_ticks_is_that_of_a_sample(tmp_path: Path) -> None:
     make(NewVehicle("it", "free", ("shoulder", "elbow"), encoder="cia402"), tmp_path)
     torques = [one.keys.sigma_N_m for one in roles_of(config.load(tmp_path / "vehicle.toml")).cells]  # type: ignore[union-attr]
