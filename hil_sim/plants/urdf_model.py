@@ -1,5 +1,6 @@
 """MuJoCo's model of a URDF: compiled by MuJoCo's reader, its base let go or held, its bodies as they were built."""
 
+import contextlib
 import ctypes
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -27,8 +28,10 @@ _SENSED = {
 }
 Sensed = Literal["gyro", "accelerometer", "force", "torque", "position", "attitude"]
 
-# MuJoCo's Python module lets it time the parts of each step, which takes up to a third of a step of a small model.
-ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._callbacks.__file__), "mjcb_time").value = None
+# MuJoCo's Python module lets it time the parts of each step, which takes up to a third of a step of a small model;
+# its set_mjcb_time(None) leaves that timer. A release without this variable is slower, and no more.
+with contextlib.suppress(AttributeError, OSError, ValueError):
+    ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._callbacks.__file__), "mjcb_time").value = None
 
 Fit = Callable[[mujoco.MjSpec, mujoco.MjModel], None]
 

@@ -60,13 +60,10 @@ def pushed(predictor: ImuPredictor, segments: Sequence[Segment]) -> tuple[list[S
     changed = list[Changed]()
     for before, one in pairwise(windows):
         begins_s, since_s = float(one.ticks.time_s[0]), float(before.ticks.time_s[0])
-        sigma = [
-            predictor.sigma[at] * np.sqrt(2.0 * (1.0 - np.exp((since_s - begins_s) / memory_s[at]))) for at in unknown
-        ]
-        others = [
-            OtherError(predictor.names[at], np.array([at]), np.array([size]))
-            for at, size in zip(unknown, sigma, strict=True)
-        ]
+        others = []
+        for at in unknown:
+            size = predictor.sigma[at] * np.sqrt(2.0 * (1.0 - np.exp((since_s - begins_s) / memory_s[at])))
+            others.append(OtherError(predictor.names[at], np.array([at]), np.array([size])))
         changed.append((begins_s, others))
     return windows, changed
 

@@ -38,7 +38,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD,
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.segments import Segment, in_windows, pushed
+from onboard.identification.whole_flight.segments import Changed, Segment, in_windows, pushed
 from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
 from onboard.identification.windows import STAGES_s
 from onboard.recording.reader import LogReader
@@ -174,16 +174,26 @@ class _Flight:
     def _fitted_whole_or_in_windows(
         self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
     ) -> tuple[Tested, bool]:
-        """As :meth:`_fitted`; in windows with a rate of their own where no fit of whole segments converges."""
+        """As :meth:`_fitted`; in windows where something may push, or where no fit of whole segments converges."""
+        parts, pushes = pushed(self._online.ekf.predictor, segments)
+        changed = sorted([*self._jumped, *pushes], key=lambda one: one[0])
         try:
-            return self._fitted(known, segments, phase_at)
+            return self._fitted(known, parts, changed, phase_at)
         except ConvergenceError:
-            return self._fitted(known, in_windows(segments, self._period_s), phase_at)
+            if pushes:
+                raise
+            return self._fitted(known, in_windows(segments, self._period_s), changed, phase_at)
 
     def _fitted(
-        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
+        self,
+        known: _Onboard,
+        segments: Sequence[Segment],
+        changed: Sequence[Changed],
+        phase_at: Callable[[float], int],
     ) -> tuple[Tested, bool]:
         """The fit with all instruments but those that contradict the others, its tests, and whether it passes them.
+
+        ``changed``: errors that are others from some times on; no segment has ticks of before and after.
 
         Raises:
             EstimationError, ModelError: as :meth:`WholeFlight.fit`.
@@ -192,12 +202,10 @@ class _Flight:
         names = ekf.predictor.instruments
         on_board = {at for at, name in enumerate(names) if name in known.left_out}
         hardly = {at: share for at, share in self._shares().items() if share < MOSTLY}
-        parts, pushes = pushed(ekf.predictor, segments)
-        changed = sorted([*self._jumped, *pushes], key=lambda one: one[0])
 
         def without(*more: int) -> WholeFlight:
             left_out = {*excluded, *hardly, *more}
-            return WholeFlight(ekf.predictor, ekf.payload_sigma, parts, left_out, changed)
+            return WholeFlight(ekf.predictor, ekf.payload_sigma, segments, left_out, changed)
 
         failure: Exception | None = None
         for left_out in [set[int](), *([on_board] if on_board else [])]:  # that it was wrong may be known better now
