@@ -1,7 +1,7 @@
 """Hooks of the documentation site.
 
-Formulas become MathML, names of pages become links, roles in docstrings go, and the first use of each word of the
-glossary on a page leads to its row there.
+Formulas become MathML, names of pages become links, roles in docstrings go, the first use of each word of the
+glossary on a page leads to its row there, and cells of wide tables of text carry the head of their column.
 """
 
 import re
@@ -21,6 +21,7 @@ _GLOSSARY = Path(__file__).resolve().parents[1] / "docs" / "glossary.md"
 _EVERYDAY = {"answer", "left out", "lie", "mark", "named", "refused"}  # more often meant as everywhere than as there
 _LEVELS = {"good", "weak", "do not use"}  # levels where they are emphasised
 _ROW = re.compile(r"^\| (?!word )([A-Za-z][\w ,]*) \|", re.MULTILINE)
+_TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
 _PAGE = re.compile(r"`(?:docs/)?(\w+\.md)`")
 
 
@@ -69,5 +70,19 @@ def _anchor(row: str) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """The page without the roles of reStructuredText that docstrings have before names."""
-    return re.sub(r":(?:class|func|meth|mod|data|attr):(?=<code>)", "", html)
+    """The page without the roles that docstrings have before names, and with tables that fit on a phone."""
+    return _TABLE.sub(_stacked, re.sub(r":(?:class|func|meth|mod|data|attr):(?=<code>)", "", html))
+
+
+def _stacked(table: re.Match[str]) -> str:
+    """A table of text with the head of its column at each cell, for ``site.css``; one of numbers is unchanged."""
+    heads = [re.sub(r"<[^>]+>", "", head) for head in re.findall(r"<th>(.*?)</th>", table[0], re.DOTALL)]
+    wide = len(heads) > 2 or re.search(r"<tr>\s*<td><code>[^<]{24}", table[0])
+    if not wide or "<td style" in table[0]:
+        return table[0]
+
+    def row(cells: re.Match[str]) -> str:
+        labels = iter(heads)
+        return re.sub(r"<td>", lambda _: f'<td data-label="{next(labels)}">', cells[0])
+
+    return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL).replace("<table>", "<table data-stacked>", 1)

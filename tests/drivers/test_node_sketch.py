@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import textwrap
 from pathlib import Path
 from typing import NamedTuple
 
@@ -124,7 +125,8 @@ def test_an_imu_that_does_not_answer_is_not_valid_and_set_up_again(run):
 
 def test_the_lines_of_the_page_are_those_of_the_sketch(run, tmp_path):
     """Names, and a vehicle that loads."""
-    (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = re.findall(r"^ *```toml\n(.*?)^ *```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    block = textwrap.dedent(block)
     named = re.findall(r'^name = "(\w+)"', block, re.MULTILINE)
     assert named == [channel.name for channel in run.descriptors[0].channels]
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
