@@ -11,7 +11,7 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.transports import url
 from onboard.config.errors import ConfigError
-from onboard.config.methods import PREDICTING, Prediction, method_of
+from onboard.config.methods import PREDICTING, Prediction
 from onboard.config.vehicle import Vehicle
 from onboard.devices.base import BusDevice
 from onboard.dynamics.model.bases import BASES
@@ -165,7 +165,7 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     _check_pivot(vehicle, fail)
     _check_body(vehicle, fail)
     _check_parabola(vehicle, fail)
-    method = method_of(file.estimation.method)
+    method = file.estimation.how
     if method.predicts:
         _check_predicted(vehicle, fail)
     if method.falling:

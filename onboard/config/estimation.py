@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
-from onboard.config.methods import method_of
+from onboard.config.methods import METHODS, EstimationMethod
 from onboard.section import NotNegative, Positive, Section
 
 LAG_MS, LAG_OF_WIDTH = 200.0, 0.75  # of rows where none is stated: half of the kernel, and what channels come late
@@ -294,9 +294,14 @@ class Estimation(Section):
     )
 
     @property
+    def how(self) -> EstimationMethod:
+        """Its method: what that needs, and who builds it."""
+        return METHODS[self.method]
+
+    @property
     def predicts(self) -> bool:
         """Whether its method predicts what the base's instruments show, and has no rows."""
-        return method_of(self.method).predicts
+        return self.how.predicts
 
     @model_validator(mode="before")
     @classmethod

@@ -1,6 +1,7 @@
 """Methods of estimation (``[estimation] method``): what each needs of a vehicle, and what they predict of it.
 
-Builders, readers of logs and forecasts have a table each, by :class:`Prediction`.
+:data:`METHODS` is the only table of them. Builders, readers of logs and forecasts have a table each, by
+:class:`Prediction`.
 """
 
 from dataclasses import dataclass
@@ -15,21 +16,23 @@ class EstimationMethod:
         name: in vehicle.toml.
         predicts: it predicts what the base's instruments show, and has no rows.
         falling: its rows are force and moment on a free base, both zero.
+        tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
+        builder: "package.module:function" that makes its estimator from a vehicle file; "": by what is predicted.
     """
 
     name: str
     predicts: bool = False
     falling: bool = False
+    tick_means: bool = False
+    builder: str = ""
 
 
-PREDICTING = EstimationMethod("exiddm", predicts=True)
+PREDICTING = EstimationMethod("exiddm", predicts=True, tick_means=True)
 OF_A_FREE_BASE = f'the method "{PREDICTING.name}" of a free base'
-METHODS = {method.name: method for method in (EstimationMethod("instrumental", falling=True), PREDICTING)}
-
-
-def method_of(name: str) -> EstimationMethod:
-    """A method by its name; a name without an entry has rows, those that the vehicle file states."""
-    return METHODS.get(name, EstimationMethod(name))
+METHODS = {
+    method.name: method
+    for method in (EstimationMethod("rows"), EstimationMethod("instrumental", falling=True), PREDICTING)
+}
 
 
 class Prediction(StrEnum):

@@ -12,10 +12,10 @@ from drivers import records
 from drivers.records import Batch, Severity, event
 from onboard import config
 from onboard.config.estimation import Estimation
+from onboard.config.methods import METHODS
 from onboard.estimation.gates import GateReason
 from onboard.flight.acquire.publisher import Publisher, joined
 from onboard.flight.estimate.phases import PhaseTrack
-from onboard.flight.estimate.problem.identification import METHODS
 from onboard.flight.estimate.readings.history import History
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother

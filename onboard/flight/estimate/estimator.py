@@ -21,7 +21,7 @@ from onboard.flight.clocks import timebase_of
 from onboard.flight.estimate.answers import Answers, change_event, innovation_rows, useful_of
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.phases import PhaseTrack
-from onboard.flight.estimate.problem.identification import METHODS, build_online, channels_of, with_hypotheses
+from onboard.flight.estimate.problem.identification import build_online, channels_of, with_hypotheses
 from onboard.flight.estimate.readings.joint_signals import JointSignals
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother, kernel_of
@@ -76,7 +76,7 @@ class Estimator:
         fresh, self.model = build_online(vehicle)
         self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
-        fitted = METHODS[settings.method].tick_means
+        fitted = settings.how.tick_means
         self._phases = PhaseTrack(settings.phases)
         moving = settings.phases.identify if settings.phases else ()
         self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz, moving)
@@ -200,7 +200,7 @@ class Estimator:
         made: list[Batch] = []
         joints, spread, refused, cyclic, of_joints = self._at_joints.at(self._signals, self._timebase, at_ns)
         (q, dq, ddq), time_s = joints, (at_ns * 1e-9).astype(np.float64)
-        if self._imu is not None and METHODS[self.vehicle.file.estimation.method].tick_means:
+        if self._imu is not None and self.vehicle.file.estimation.how.tick_means:
             measured, sigma, of_rows = self._means(at_ns)
             self._torques.state(dq, sigma, of_rows, self.inflation)
             thrust = self._signals.means(self._thrusters, self._timebase, at_ns, self._period_ns)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from onboard import config
+from onboard.config.methods import METHODS, EstimationMethod
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import METHODS, FlyingMethod, build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.quantities import Estimate, QuantityEstimate
 from onboard.identification.table.run import TableRun
@@ -53,7 +54,8 @@ def test_it_answers_from_the_flights_ticks(tmp_path: Path, monkeypatch: pytest.M
     flown = fly(
         tmp_path / "flight.mcap", 3, vehicle="dymaflex", sequence=STILL, capture={"earliest_s": 4.0, "latest_s": 5.0}
     )
-    monkeypatch.setitem(METHODS, "mean_rate", FlyingMethod(build, tick_means=True))
+    mean_rate = EstimationMethod("mean_rate", tick_means=True, builder=f"{__name__}:build")
+    monkeypatch.setitem(METHODS, "mean_rate", mean_rate)
     vehicle = config.load(config.packaged("dymaflex"))
     settings = vehicle.file.estimation.model_copy(update={"method": "mean_rate"})
     outside = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})

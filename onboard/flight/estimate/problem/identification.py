@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -108,16 +109,9 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleMode
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    return METHODS[vehicle.file.estimation.method].build(vehicle)
-
-
-def build_likelihood(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
-    """The estimator of a predicted base: recursive for a free base, in a batch on a table and between hands.
-
-    Raises:
-        ConfigError: the estimation section does not fit the URDF or the devices.
-    """
-    if (build := PREDICTED.get(vehicle.prediction)) is None:
+    by_name = vehicle.file.estimation.how.builder
+    build: Builder | None = resolve_name(by_name) if by_name else BUILDERS.get(vehicle.prediction)
+    if build is None:
         text = "a body without joints is identified when its run is over: heft identify"
         raise config.ConfigError(f"{vehicle.label}: {text}")
     return build(vehicle)
@@ -388,26 +382,11 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
     return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
 
 
-class FlyingMethod(NamedTuple):
-    """An estimator that flies.
-
-    Attributes:
-        build: makes it from a vehicle file.
-        tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
-    """
-
-    build: Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
-    tick_means: bool
-
-
-PREDICTED: Mapping[config.Prediction, Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]] = {
+Builder = Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
+BUILDERS: Mapping[config.Prediction, Builder] = {
+    config.Prediction.ROWS: build_identifier,
     config.Prediction.FREE: build_free_flyer,
     config.Prediction.PARABOLAS: build_parabolas,
     config.Prediction.PLANAR: build_planar,
     config.Prediction.PIVOT: build_pivot,
-}
-METHODS = {  # by ``[estimation] method``
-    "rows": FlyingMethod(build_identifier, tick_means=False),
-    "instrumental": FlyingMethod(build_identifier, tick_means=False),
-    "exiddm": FlyingMethod(build_likelihood, tick_means=True),
 }

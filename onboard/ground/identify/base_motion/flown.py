@@ -18,7 +18,7 @@ from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.answers import change_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import METHODS, build_model
+from onboard.flight.estimate.problem.identification import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
 from onboard.ground.identify.kinds.likelihood_log import runs_of
@@ -80,7 +80,7 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     if not roles.imus or not model.joints:
         raise config.ConfigError(f"{vehicle.label}: an IMU and a joint are needed to predict and compare a motion")
     settings = vehicle.file.estimation
-    recorder = _Recorder(model, model.pose_in_base(roles.imu.frame)[0], means=METHODS[settings.method].tick_means)
+    recorder = _Recorder(model, model.pose_in_base(roles.imu.frame)[0], means=settings.how.tick_means)
     estimator = Estimator(vehicle, recorder)
     for _ in feed(estimator, log, AT_ONCE_s):
         pass
