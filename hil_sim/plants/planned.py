@@ -45,7 +45,7 @@ class Planned(NamedTuple):
     phase: IndexArray  # (n,)
     held: BoolArray  # (n,) the payload is
     bases: tuple[BaseReadings, ...]  # of a prescribed base: motions that it may make
-    rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
+    rate_rad_s: FloatArray  # (3,) of a floating base at the start
     velocity_m_s: FloatArray  # (3,)
     payload: Solid | None  # in its link's frame; None: nothing is held
     drawn_shape: bool  # the payload has the shape of its link in the URDF, where that has one

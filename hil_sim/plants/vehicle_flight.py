@@ -60,7 +60,7 @@ class VehicleFlight:
         step_s: between rows.
         velocity: of the base at the start, MuJoCo's numbers; empty where it is fixed or prescribed.
         path: of a prescribed base.
-        pucks: of a planar one; or the bearing of one on a pivot.
+        pucks: of one on a table; or the bearing of one on a pivot.
         cabin: in which it is held, let go and pushed, at half steps.
         soft: its springs; none of a prescribed base.
         jets: thrusters of a free one.

@@ -100,7 +100,7 @@ def _run(
     from hil_sim.arm_rig import Wired
     from hil_sim.driven_world import DrivenWorld
     from onboard.dynamics.model.errors import ModelError
-    from onboard.flight.estimate.problem.identification import build_model
+    from onboard.flight.estimate.problem.model import build_model
     from onboard.flight.trials import PERIOD_MS
     from onboard.ground.before.control import run
     from onboard.ground.before.control.adopted import adopted_urdf

@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from onboard.cli.common import OK, Commands, bus_and_url, busy
+from onboard.dynamics.model.bases import BASES as KINDS
+from onboard.dynamics.model.bases import BaseKind
 
 if TYPE_CHECKING:
     from onboard.ground.before.init.drawing import DrawnUrdf
     from onboard.ground.before.init.vehicle import NewVehicle
 
+_WITH_AN_ARM = [name for name in KINDS if name != BaseKind.PIVOT.name]
 _QUESTIONS = (
-    ("base", "What is the base? free, prescribed, fixed, planar", "free"),
+    ("base", "What is the base? " + ", ".join(_WITH_AN_ARM), "free"),
     ("joints", "Joints of the arm: how many, or their names with commas", "2"),
     ("imu", "IMU on the base?", "mpu6050"),
     ("encoder", "What measures the joints?", "cia406"),
@@ -33,7 +36,7 @@ def add(commands: Commands) -> None:
     init.add_argument("directory", type=Path, help="where the files go; made if need be")
     init.add_argument("--from", dest="packaged", metavar="NAME", help="copy a packaged vehicle: rocksat, dymaflex, ...")
     init.add_argument("--name", help="of the vehicle (default: that of the directory)")
-    init.add_argument("--base", choices=("free", "prescribed", "fixed", "planar", "pivot"))
+    init.add_argument("--base", choices=tuple(KINDS))
     init.add_argument("--urdf", type=Path, help="a URDF at hand: its joints and links; it is copied into the directory")
     imu = "of --urdf, whose axes are the IMU's (default: the base's frames that are called so, or a new frame)"
     init.add_argument("--imu-frame", metavar="LINK", help=imu)
@@ -55,8 +58,8 @@ def add(commands: Commands) -> None:
     init.add_argument(
         "--thrusters",
         metavar="N|NAME,NAME",
-        help="of a recorded body without joints on a table (--base planar): how many, or frames of --urdf, x along "
-        "the force",
+        help=f"of a recorded body without joints on a table (--base {BaseKind.PLANAR}): how many, or frames of "
+        "--urdf, x along the force",
     )
     init.add_argument("--force", metavar="N", type=float, default=1.0, help="of each of --thrusters, in newtons (1)")
     init.add_argument("--marker", metavar="LINK", help="of --urdf, that is tracked (default: a new link)")
@@ -74,7 +77,7 @@ def _init(arguments: argparse.Namespace) -> int:
     else:
         if arguments.base is None:
             if not sys.stdin.isatty():
-                raise ValueError("say what the base is: --base free, prescribed, fixed or planar; or give --from")
+                raise ValueError(f"say what the base is: --base {' or '.join(_WITH_AN_ARM)}; or give --from")
             _ask(arguments)
         if arguments.thrusters is not None:
             return _body(arguments)
@@ -94,9 +97,9 @@ def _body(arguments: argparse.Namespace) -> int:
     """A body without joints."""
     from onboard.ground.before.init import body, drawing
 
-    if arguments.base != "planar":
+    if arguments.base != BaseKind.PLANAR.name:
         where = "by wheels it is moved on a bearing (--base pivot) or freely (docs/free_body.md)"
-        raise ValueError(f"--thrusters move a body on a table: --base planar, not {arguments.base}; {where}")
+        raise ValueError(f"--thrusters move a body on a table: --base {BaseKind.PLANAR}, not {arguments.base}; {where}")
     if given := [one for one in ("joints", "encoder", "load_cell", "gains", "imu") if getattr(arguments, one)]:
         raise ValueError(f"--{given[0].replace('_', '-')}: a body by its --thrusters has no arm; leave it out")
     drawn = drawing.read(arguments.urdf, arguments.base, recorded=True) if arguments.urdf else None
@@ -206,7 +209,6 @@ def _answering(known: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, str, s
 
 
 def _wanted(arguments: argparse.Namespace) -> "NewVehicle":
-    from onboard.dynamics.model.bases import BASES as KINDS
     from onboard.ground.before.init import drawing
     from onboard.ground.before.init.vehicle import BASES, ENCODERS, IMUS, LOAD_CELLS, NewVehicle
 

@@ -14,7 +14,7 @@ from drivers.play.player import PlayerConfig
 from onboard.config.bases.free_body import FreeBody
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Pivot
-from onboard.config.bases.planar import Body, Planar
+from onboard.config.bases.table import Body, Planar
 from onboard.config.drive import Drive
 from onboard.config.driving import Played, player_of
 from onboard.config.errors import Origin
@@ -83,7 +83,7 @@ else:  # the kinds that the registry finds
 class VehicleSection(Section):
     """The vehicle. ``base``: kind of base (motion and wrench known or unknown).
 
-    ``gravity_m_s2``: in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.
+    ``gravity_m_s2``: in base axes; counts on a table, and where the base is fixed and no device is an IMU.
     ``essential``: devices without which a flight has failed: ``heft fly`` ends with 1 if one of them never said a word.
     """
 

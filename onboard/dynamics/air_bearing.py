@@ -126,7 +126,7 @@ class PlanarRun:
         return found
 
 
-def predict_planar(
+def predict_run(
     run: PlanarRun,
     start: FloatArray,
     chi: FloatArray,

@@ -104,7 +104,7 @@ def joint_torque_row(vehicle: VehicleModel, joint: str, friction: bool = True) -
 
 
 def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
-    """The rows of the force on the whole vehicle (Limparis 3.5), in base axes: three, x and y alone on a planar bed."""
+    """The rows of the force on the whole vehicle (Limparis 3.5), in base axes: those along which it moves."""
     frame = vehicle.spec.base_link
     unit = np.eye(6)
     moves = vehicle.spec.base.moves or range(6)
@@ -112,7 +112,7 @@ def base_force_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
 
 
 def base_moment_rows(vehicle: VehicleModel) -> tuple[WrenchRow, ...]:
-    """The rows of the moment on the whole vehicle (Limparis 3.5), in base axes: three, z alone on a planar bed.
+    """The rows of the moment on the whole vehicle (Limparis 3.5), in base axes: those about which it turns.
 
     They are about the base frame's origin, unless the base is free and its joints turn balanced rotors only. Such a
     vehicle's centre of mass is fixed in the base and feels no specific force, so the rows are taken about it: exact,

@@ -8,7 +8,7 @@ from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base_from_rate
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.errors import UnknownFrameError
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.free_flyer.prediction.further import (
     CellPrior,

@@ -9,7 +9,7 @@ from onboard import config
 from onboard.dynamics.model.inertia import RigidBody, composite_functional, symmetric
 from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 
 G_m_s2, STEP_s = 9.80665, 0.02
 

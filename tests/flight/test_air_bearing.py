@@ -16,7 +16,7 @@ from onboard.dynamics.model.urdf import with_bodies
 from onboard.estimation.gates import GateReason
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
-from onboard.ground.identify.kinds.planar_log import PlanarTickRecorder
+from onboard.ground.identify.kinds.table_log import PlanarTickRecorder
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader

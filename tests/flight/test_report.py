@@ -229,7 +229,7 @@ class TestInABrowser:
                 (one) => one.getBoundingClientRect().right));
             document.body.textContent = JSON.stringify({
                 page: inside.documentElement.scrollWidth, long: right(".stacks td"), figures: right("figure"),
-                named: inside.querySelectorAll('.stacks td.long[data-of="good for"]').length});
+                named: inside.querySelectorAll('.stacks td.long[data-of="level"]').length});
         };</script>"""
         frame = tmp_path / "frame.html"
         frame.write_text(f'<iframe src="{page.as_uri()}" style="border:0;width:390px;height:4000px"></iframe>{look}')

@@ -17,7 +17,7 @@ from onboard import cli, config
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.witness import RateWitness

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import predict_planar
+from onboard.dynamics.air_bearing import predict_run
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import (
     Push,
@@ -70,7 +70,7 @@ def outcomes(seed):
         *rng.normal(size=(2, 3))[:1], rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=(2, 7))
     )
     more = plus.plus(rng.normal(size=7), np.array([0, 3]))
-    table = predict_planar(*on_table(case, seed))
+    table = predict_run(*on_table(case, seed))
     window = SmoothingWindow(np.cumsum(rng.uniform(0.5, 1.5, 60)), rng.uniform(0.0, 60.0, 9), 20.0)
     suspects, sigma, known = random_suspects(seed)
     bank, m = Bank(suspects, sigma), sum(one.along.shape[1] for one in suspects)
@@ -192,7 +192,7 @@ def fuzz_once(seed):
     attempt(Changed(np.zeros((1, m)), spoiled(np.ones(m)), spoiled(np.eye(m)), np.zeros((1, 0))).evidence, suspects)
     run, start, chi, drag, tilt, unknown = on_table(case, seed)
     wrong = drag._replace(viscous=spoiled(drag.viscous), place=spoiled(drag.place))
-    attempt(predict_planar, run, spoiled(start), chi, wrong, spoiled(tilt), unknown)
+    attempt(predict_run, run, spoiled(start), chi, wrong, spoiled(tilt), unknown)
 
 
 def main(path, seconds):

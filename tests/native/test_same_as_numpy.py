@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.dynamics import free_flight
-from onboard.dynamics.air_bearing import predict_planar
+from onboard.dynamics.air_bearing import predict_run
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate, rate_of_momentum, sensor_in_base
 from onboard.dynamics.joint_errors import JointErrors
@@ -205,7 +205,7 @@ def test_a_momentum_alone(case):
 @pytest.mark.parametrize("seed", CASES)
 def test_a_base_on_an_air_bearing(seed):
     given = on_table(random_case(seed), seed)
-    found, (states, a, along) = predict_planar(*given), of_table.predict(*given)
+    found, (states, a, along) = predict_run(*given), of_table.predict(*given)
     same(found.velocity, states, SOLVED)
     same(np.column_stack([found.base.specific_force[:, :2], found.base.acceleration[:, 2]]), a, SOLVED)
     same(found.base.along, along, SOLVED)
@@ -213,7 +213,7 @@ def test_a_base_on_an_air_bearing(seed):
 
 def test_a_base_on_an_air_bearing_that_runs_away_is_no_number_from_there():
     run, _, *given = on_table(random_case(3), 3)
-    found = predict_planar(run, np.array([0.0, 0.0, 1e3 - 1e-9]), *given).velocity
+    found = predict_run(run, np.array([0.0, 0.0, 1e3 - 1e-9]), *given).velocity
     assert np.isfinite(found[0]).all()
     assert np.isnan(found[-1]).all()
 

@@ -12,7 +12,7 @@ from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.free_flyer.prediction.further import (
@@ -73,7 +73,7 @@ def random_case(seed: int) -> Case:
 
 
 class OnTable(NamedTuple):
-    """What :func:`onboard.dynamics.air_bearing.predict_planar` takes."""
+    """What :func:`onboard.dynamics.air_bearing.predict_run` takes."""
 
     run: PlanarRun
     start: np.ndarray

@@ -12,7 +12,7 @@ from onboard.config import estimation
 from onboard.config.bases.free_body import Carrier, FreeBody, Load
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Balance, Pivot
-from onboard.config.bases.planar import Body, Planar, Puck
+from onboard.config.bases.table import Body, Planar, Puck
 from onboard.config.drive import Drive
 from onboard.config.keys.meanings import MEANINGS
 from onboard.config.mission import MissionKeys

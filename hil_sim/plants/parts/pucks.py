@@ -1,4 +1,4 @@
-"""Air pucks under the base of a planar bed: where they are and how they drag; and a spherical bearing."""
+"""Air pucks under a base on an air-bearing table: where they are and how they drag; and a spherical bearing."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What keys of ``[planar]``, ``[pivot]``, ``[body]``, ``[parabola]``, ``[free_body]`` mean; when to change them."""
+"""What keys of the sections of a single kind of base mean; when to change them."""
 
 PARABOLA: dict[str, tuple[str, ...]] = {
     "low_m_s2": ("Below this specific force of the base's IMU the aircraft flies a parabola.",),

@@ -9,7 +9,7 @@ from onboard.config import estimation
 from onboard.config.bases.free_body import Carrier, FreeBody, Load
 from onboard.config.bases.parabola import Parabola
 from onboard.config.bases.pivot import Balance, Pivot
-from onboard.config.bases.planar import Body, Planar, Puck
+from onboard.config.bases.table import Body, Planar, Puck
 from onboard.config.drive import Drive
 from onboard.config.keys.bases import BALANCE, BODY, CARRIER, FREE_BODY, JOINT, LOAD, PARABOLA, PIVOT, PLANAR, PUCK
 from onboard.config.keys.drive_meanings import DRIVE, MISSION
@@ -46,7 +46,7 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "name what the answer cannot do without",
         ),
         "gravity_m_s2": _M(
-            "Gravity in base axes; counts where the base is fixed and no device is an IMU, and where it is planar.",
+            "Gravity in base axes; counts on a table, and where the base is fixed and no device is an IMU.",
             "the bench is tilted, or stands at another latitude",
         ),
     },

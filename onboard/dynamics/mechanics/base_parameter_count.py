@@ -54,7 +54,7 @@ def free_base_count(chain: SerialChain) -> Count | None:
     return Count(10 + 7 * n, f"10 + 7 x {n}") if all(chain.revolute) else None
 
 
-def planar_base_count(chain: SerialChain) -> Count | None:
+def plane_base_count(chain: SerialChain) -> Count | None:
     """Count for the base wrench on a level bed, z of the base vertical (derived here); None if not all revolute."""
     if not all(chain.revolute):
         return None

@@ -60,7 +60,7 @@ def require_flyable(
 
     Args:
         urdf: its text.
-        base: kind of the base; one that is free or planar moves by its mass.
+        base: kind of the base; one that follows the arm moves by its mass.
         payload_link: what is held, whose mass is not the base's.
         label: what messages call it.
         simulated: its motion may be integrated, whatever the base; MuJoCo reads the URDF too.

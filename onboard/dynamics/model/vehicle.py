@@ -35,7 +35,7 @@ class VehicleSpec:
     base: BaseKind
     base_link: str  # the URDF's root
     payload_link: str | None = None  # link held only part of the time
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)  # of a fixed or planar base, its axes
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)  # of a base in gravity, its axes
 
 
 class Joint(NamedTuple):

@@ -30,7 +30,7 @@ from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judg
 from onboard.flight.check.preflight import Preflight, preflight, require_devices
 from onboard.flight.clocks import sync_line
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 
 _TARE_S = 2.0

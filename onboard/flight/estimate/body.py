@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from onboard import config
-from onboard.config.bases.planar import Body
+from onboard.config.bases.table import Body
 from onboard.devices.recorded import PoseKeys, ThrusterKeys, thrusters_among, tracked_among
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import composite_functional

@@ -12,7 +12,7 @@ from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import Balanced, balance
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, still

@@ -21,7 +21,7 @@ from onboard.estimation.calibration.bifilar import (
     swing,
 )
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import LogSpan, Readings, still
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits

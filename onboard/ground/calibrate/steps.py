@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate import guide
 from onboard.ground.calibrate.balance import rig

@@ -17,7 +17,7 @@ from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import REFUSE, of_each
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
 

@@ -21,7 +21,7 @@ from onboard.estimation.gates import named_refusals
 from onboard.estimation.smoothing import CUTS_OFF
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
@@ -31,8 +31,8 @@ from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuant
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
-from onboard.ground.identify.kinds.planar_log import identify_planar
 from onboard.ground.identify.kinds.residuals import keep_rows
+from onboard.ground.identify.kinds.table_log import identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed, feed_rows
@@ -53,7 +53,7 @@ from onboard.recording.reader import LogReader
 BY_LIKELIHOOD: Mapping[config.Prediction, Callable[[config.Vehicle, LogReader], Identified]] = {
     config.Prediction.FREE: identify_free_flyer,
     config.Prediction.PARABOLAS: identify_parabolas,
-    config.Prediction.PLANAR: identify_planar,
+    config.Prediction.PLANAR: identify_table,
     config.Prediction.BODY: identify_body,
     config.Prediction.PIVOT: identify_pivot,
 }

@@ -60,7 +60,7 @@ def _sections(log: Identified, draw: Gallery) -> Iterator[tuple[str, str]]:
         parts = log.held_out.later, log.held_out.earlier, log.held_out.fit
         later, earlier, fit = (f"{100 * one.relative_error:.2f} %" for one in parts)
         used += html.paragraph(f"Later half from earlier {later}, earlier from later {earlier}, all from all {fit}.")
-    headings = ["quantity", "value", "95 % interval", "unit", "good for"]
+    headings = ["quantity", "value", "95 % interval", "unit", "level"]
     yield log.log.name, used + html.table(headings, rows) + residual_section(log.residuals, draw)
 
 

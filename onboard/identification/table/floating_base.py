@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_planar
+from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_run
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import EncoderReadings
 from onboard.dynamics.model.bases import BaseKind
@@ -54,7 +54,7 @@ class AirBearingBase:
     """:class:`onboard.identification.free_flyer.batch.BaseModel` of a base on air-bearing pucks.
 
     Args:
-        vehicle: of base kind planar, with a payload link.
+        vehicle: on an air-bearing table, with a payload link.
         signals: the run.
         prior: sigmas of the further unknowns.
         offsets: of each joint from its place in the drawing, (joints, 3), m, in the axes of its frame at zero.
@@ -69,7 +69,7 @@ class AirBearingBase:
     ) -> None:
         self.rounding_m_s = ROUNDING_m_s
         if vehicle.spec.base is not BaseKind.PLANAR:
-            raise SignalError(f"the base is {vehicle.spec.base}; a planar base is needed")
+            raise SignalError(f"the base is {vehicle.spec.base}; one on an air-bearing table is needed")
         self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
         self._run = PlanarRun(vehicle, signals, offsets)
         self._pucks = np.array([vehicle.pose_in_base(frame)[1][:2] for frame in prior.pucks]).reshape(-1, 2)
@@ -89,10 +89,10 @@ class AirBearingBase:
     def predict(
         self, start: FloatArray, chi: FloatArray, others: Mapping[str, FloatArray], links: tuple[int, ...], ticks: int
     ) -> BasePrediction:
-        """See :func:`onboard.dynamics.air_bearing.predict_planar`."""
+        """See :func:`onboard.dynamics.air_bearing.predict_run`."""
         viscous, coulomb = others["drag"].reshape(-1, 2).T
         drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s, tuple(others["sag"].tolist()))
-        return predict_planar(self._run, start, chi, drag, others["tilt"], links, ticks).base
+        return predict_run(self._run, start, chi, drag, others["tilt"], links, ticks).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
         """None: the gyro gives no velocity."""
@@ -128,7 +128,7 @@ class AirBearingBase:
         Raises:
             SignalError: a mass that is not positive, or ticks that are too long.
         """
-        Y, y = planar_rows(self.vehicle, imu_frame, self.signals, self._run, ROUGH_WIDTH_s)
+        Y, y = table_rows(self.vehicle, imu_frame, self.signals, self._run, ROUGH_WIDTH_s)
         if not y.size:
             raise SignalError("the ticks are too long for a kernel that smooths the base's motion")
         mean, noise = np.zeros(10), 1.0
@@ -140,7 +140,7 @@ class AirBearingBase:
         return possible_body(mean, covariance)
 
 
-def planar_rows(
+def table_rows(
     vehicle: VehicleModel, imu_frame: str, signals: FlightSignals, run: PlanarRun, width_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Rows ``y = Y chi_payload`` of force x, y and moment z without drag: Y (3 v, 10), y (3 v,).

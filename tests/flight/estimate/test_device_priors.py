@@ -5,7 +5,8 @@ import math
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_identifier, build_model
+from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import biases, geometry_prior
 
 STATED = "gyro_bias_rad_s = 2e-3\naccelerometer_bias_m_s2 = 0.03 # which is estimated\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import disturbance_prior
 
 DYMAFLEX = config.load(config.packaged("dymaflex"))

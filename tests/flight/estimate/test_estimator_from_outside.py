@@ -11,7 +11,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.identify.replay.feed import feed
 from onboard.identification.quantities import Estimate, QuantityEstimate
 from onboard.identification.table.run import TableRun

@@ -19,7 +19,7 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.hand_over import HandOver, check
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.identification.change import Change
 from onboard.identification.quantities import BODY, BODY_UNITS
 

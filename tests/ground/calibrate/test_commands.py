@@ -11,7 +11,7 @@ from hil_sim.bench import BenchMission
 from hil_sim.devices.vehicle_file import scenario_of
 from onboard import config
 from onboard.cli import BAD_INPUT, FAILED, OK, main
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 
 PAGE = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
 COMMANDS = [line.removeprefix("heft ") for line in re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()]

@@ -11,7 +11,7 @@ import pytest
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, standard_of
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.identification.rows.fitted_drawing import fitted_drawing
 from onboard.identification.rows.standard import Posterior, link_estimate
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf

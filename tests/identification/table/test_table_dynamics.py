@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import planar_bed
-from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_planar
+from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_run
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
@@ -53,7 +53,7 @@ def test_motion_is_mujocos_drag_and_tilt_included(run):
         ([planar_bed.Drag()] * 3, TILT, 0.02, np.inf),
         (DRAGS, (0.0, 0.0), 1e-4, np.inf),
     ):
-        found = predict_planar(joints, truth[0], run.chi, pulls(drags), np.array(tilt), ())
+        found = predict_run(joints, truth[0], run.chi, pulls(drags), np.array(tilt), ())
         assert low <= np.abs(found.velocity[:, :3] - truth[::3]).max() < high
 
 
@@ -83,16 +83,16 @@ def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
 def test_the_supply_sags_and_all_drags_grow_from_half_to_twice(run):
     joints, still, drag = PlanarRun(run.vehicle, exact(run)), np.zeros(2), pulls(DRAGS)
     start = np.array([0.2, -0.1, 0.3])
-    sagging = predict_planar(joints, start, run.chi, drag._replace(sag=(np.log(2.0), 0.0, 0.0)), still, ())
+    sagging = predict_run(joints, start, run.chi, drag._replace(sag=(np.log(2.0), 0.0, 0.0)), still, ())
     for tick, times in ((0, 0.5), (joints.ticks - 1, 2.0)):
         here = exact(run)
         here = here._replace(**{name: getattr(here, name)[tick : tick + 1].repeat(3, 0) for name in ("q", "dq", "ddq")})
         constant = drag._replace(viscous=times * drag.viscous, coulomb=times * drag.coulomb)
         velocity = sagging.velocity[tick, :3]
-        found = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, constant, still, ())
+        found = predict_run(PlanarRun(run.vehicle, here), velocity, run.chi, constant, still, ())
         force = found.base.specific_force[0, :2]
         np.testing.assert_allclose(sagging.base.specific_force[tick, :2], force, atol=1e-9)
-        bare = predict_planar(PlanarRun(run.vehicle, here), velocity, run.chi, drag, still, ())
+        bare = predict_run(PlanarRun(run.vehicle, here), velocity, run.chi, drag, still, ())
         assert np.abs(bare.base.specific_force[0, :2] - force).max() > 1e-3
 
 

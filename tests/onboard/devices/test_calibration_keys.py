@@ -6,7 +6,7 @@ import pytest
 from drivers.records import IMU, SCALAR
 from onboard import config
 from onboard.devices import si
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import values_of
 from onboard.ground.log.tables.columns import columns

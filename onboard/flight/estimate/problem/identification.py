@@ -8,17 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from onboard import config
-from onboard.config.vehicle import LinkSection
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.errors import ModelError, UrdfError
-from onboard.dynamics.model.inertia import RigidBody, symmetric
-from onboard.dynamics.model.payload import body_of
-from onboard.dynamics.model.urdf import with_bodies
-from onboard.dynamics.model.vehicle import STANDARD, VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
+from onboard.flight.estimate.problem.model import build_model, samples_in_tick, samples_per_tick
 from onboard.flight.estimate.problem.priors import (
     biases,
     check_joints,
@@ -32,6 +29,7 @@ from onboard.flight.estimate.problem.priors import (
     tracker_of,
 )
 from onboard.flight.estimate.problem.sigma_keys import SigmaKeys
+from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
@@ -74,33 +72,6 @@ if TYPE_CHECKING:
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
 UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
-
-
-def build_model(vehicle: config.Vehicle) -> VehicleModel:
-    """The Pinocchio model of a vehicle file.
-
-    Raises:
-        ModelError: the URDF cannot be used, or lacks a name that the vehicle file has.
-    """
-    section = vehicle.file.vehicle
-    spec = VehicleSpec(section.base_kind, section.base_link, section.payload_link, section.gravity_m_s2)
-    urdf = vehicle.urdf_text
-    model = VehicleModel(urdf, spec)
-    measured = {name: _measured(model, name, own) for name, own in vehicle.file.link.items()}
-    return VehicleModel(with_bodies(urdf, measured), spec) if measured else model
-
-
-def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
-    """A link by what was measured of it, and by the URDF."""
-    if link not in model.links:
-        raise UrdfError(f"[link.{link}]: links with inertia are {', '.join(model.links)}")
-    at = 10 * model.links.index(link)
-    mass_kg, centre_m, inertia = body_of(model.chi[at : at + 10])
-    return RigidBody(
-        mass_kg if own.mass_kg is None else own.mass_kg,
-        centre_m if own.centre_of_mass_m is None else np.array(own.centre_of_mass_m),
-        inertia if own.inertia_kg_m2 is None else symmetric(np.array(own.inertia_kg_m2)),
-    )
 
 
 def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleModel]:
@@ -181,36 +152,17 @@ def build_free_flyer(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[
     return MotionIdentifier(ekf), model
 
 
-def samples_per_tick(vehicle: config.Vehicle) -> int:
-    """Samples of the base IMU in a tick.
-
-    Raises:
-        ConfigError: fewer than two.
-    """
-    channel = roles_of(vehicle).imu.channels[0]
-    samples = _samples(vehicle, channel)
-    if samples < 2:
-        text = f"{1e3 * roles_of(vehicle).signals[channel].period_s:g} ms between samples of {channel!r}"
-        raise config.ConfigError(f"{vehicle.label}: {text}: lower row_rate_hz until two and more make a tick")
-    return samples
-
-
-def _samples(vehicle: config.Vehicle, channel: str) -> int:
-    """Samples of a channel in a tick."""
-    return round(1.0 / (roles_of(vehicle).signals[channel].period_s * vehicle.file.estimation.row_rate_hz))
-
-
 def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior: ImuPrior) -> list[Further]:
     """What the filter uses besides the first IMU, but what is too slow for its ticks: other IMUs, cells, torques."""
     found, roles = list[Further](), roles_of(vehicle)
     for imu in roles.imus[1:]:
-        if (samples := _samples(vehicle, imu.channels[0])) >= 2:
+        if (samples := samples_in_tick(vehicle, imu.channels[0])) >= 2:
             prior = imu_prior._replace(delay_s=float(np.hypot(imu_prior.delay_s, UNMARKED_CLOCK_s)))
             place_m = vehicle.file.estimation.imu_prior.position_m
             found.append(FurtherImu(imu.channels[0], imu.frame, samples, prior, place_m, UNMARKED_MEMORY_s))
     for cell in roles.cells:
         keys = cell.keys
-        if (samples := _samples(vehicle, cell.channel)) < 2:
+        if (samples := samples_in_tick(vehicle, cell.channel)) < 2:
             continue
         if isinstance(keys, TorqueKeys):
             found.append(torque_cell(vehicle, model, cell, keys, samples))
@@ -244,32 +196,6 @@ def build_pivot(vehicle: config.Vehicle) -> tuple["PivotRun", VehicleModel]:
         return pivot_run(vehicle, model, samples_per_tick(vehicle)), model
     except ModelError as error:
         raise config.ConfigError(f"{vehicle.label}: {error}") from error
-
-
-def build_planar(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
-    """What flies on a vehicle on an air-bearing table, which is estimated when its run is over; and its model.
-
-    Raises:
-        ConfigError: a name that the URDF does not have.
-    """
-    roles = roles_of(vehicle)
-    samples_per_tick(vehicle)
-    try:
-        model = build_model(vehicle)
-        check_joints(roles, model)
-        check_thrusters(roles)
-        check_springs(vehicle, "not on a table")
-        model.pose_in_base(roles.imu.frame)
-        free_flyer_prior(vehicle, model)
-    except ModelError as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
-    for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
-        try:
-            model.pose_in_base(puck.frame)
-        except ModelError as error:
-            place = vehicle.origin.place(["planar", "puck", str(index), "frame"])
-            raise config.ConfigError(f"{place}: {error}") from error
-    return TableRun(str(model.spec.payload_link)), model
 
 
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
@@ -387,6 +313,6 @@ BUILDERS: Mapping[config.Prediction, Builder] = {
     config.Prediction.ROWS: build_identifier,
     config.Prediction.FREE: build_free_flyer,
     config.Prediction.PARABOLAS: build_parabolas,
-    config.Prediction.PLANAR: build_planar,
+    config.Prediction.PLANAR: build_table,
     config.Prediction.PIVOT: build_pivot,
 }

@@ -26,7 +26,7 @@ from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.trials import PERIOD_MS, ArmOnBus, FlownTrial, Trials, Wire
 
 PERIOD_S: Final = 1e-3 * PERIOD_MS

@@ -16,7 +16,7 @@ from onboard.config.estimation import JointKeys
 from onboard.devices.base import BusDevice, ImuDevice
 from onboard.devices.roles import LoadCellKeys
 from onboard.dynamics.model.errors import UnknownFrameError
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.kept import kept

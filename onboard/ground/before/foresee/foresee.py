@@ -26,9 +26,9 @@ def foresee(vehicle: config.Vehicle, plan: MotionPlan, *, coarse: bool = False) 
         EstimationError: something that nothing tells.
     """
     if vehicle.prediction is config.Prediction.PLANAR:
-        from onboard.ground.before.foresee.planar import foresee_planar  # noqa: PLC0415 - it brings in heft identify
+        from onboard.ground.before.foresee.table import foresee_table  # noqa: PLC0415 - it brings in heft identify
 
-        return foresee_planar(vehicle, plan)
+        return foresee_table(vehicle, plan)
     if vehicle.prediction is not config.Prediction.ROWS:
         return (foresee_pivot if vehicle.prediction is config.Prediction.PIVOT else foresee_free)(vehicle, plan)
     most = max(1, _MOST_TICKS // len(plan.time_s))  # of a long motion each is as telling as the next

@@ -14,7 +14,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import Response, SmoothingWindow
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
@@ -38,7 +38,7 @@ class MotionPlan(NamedTuple):
     phase: NDArray[np.intp]  # (n,)
     held: BoolArray  # (n,) the payload is
     bases: tuple[BaseMotion, ...]  # of a prescribed base: motions that it may make, all as likely
-    rate_rad_s: FloatArray  # (3,) of a free or planar base at the start
+    rate_rad_s: FloatArray  # (3,) of a floating base at the start
     velocity_m_s: FloatArray  # (3,)
     payload: RigidBody | None  # assumed, in its link's frame
     drag: tuple[float, float] = (0.0, 0.0)  # of each puck: N s/m, N

@@ -7,6 +7,13 @@ from onboard.ground.before.init.drawing import DrawnUrdf
 
 _RADIUS_m = 0.2  # of the sketched base
 _SIN_60 = 0.5 * 3.0**0.5
+_TABLE = """
+[planar]                       # 1 sigma
+tilt_sigma_m_s2 = 0.002        # as the table was levelled
+velocity_sigma_m_s = 0.02      # as the base is let go
+rate_sigma_rad_s = 1.0
+sag_sigma = 1.0                # drag of all pucks may grow so as their supply sags
+"""
 
 
 def places(drawn: DrawnUrdf | None) -> dict[str, str]:
@@ -33,8 +40,8 @@ def note(drawn: DrawnUrdf) -> str:
 
 
 def tables(frames: Iterable[str]) -> str:
-    """Of the vehicle file."""
-    return "".join(
+    """Of the vehicle file: the section of the table, and a table of each puck."""
+    return _TABLE + "".join(
         f"""
 [[planar.puck]]
 frame = {json.dumps(frame)}

@@ -4,20 +4,21 @@ import json
 import math
 import shutil
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from onboard import config
 from onboard.config.keys import schema
 from onboard.devices.base import ImuDevice, JointDevice, LoadCellDevice
 from onboard.dynamics.model.bases import BASES as KINDS
+from onboard.dynamics.model.bases import BaseKind
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.before.init import devices, drawing, drives, pucks
 from onboard.ground.before.init.devices import NewDevice
 from onboard.ground.before.init.drawing import DrawnUrdf
 from onboard.ground.before.init.sketch import link, mount
 
-BASES = ("free", "prescribed", "fixed", "planar")
+BASES = tuple(name for name in KINDS if name != BaseKind.PIVOT.name)  # that one has no arm: bed.py
 IMUS = (*devices.kinds(ImuDevice), devices.RECORDED, "none")
 ENCODERS = (*devices.kinds(JointDevice), devices.RECORDED)
 LOAD_CELLS = (*devices.kinds(LoadCellDevice), devices.RECORDED, "none")
@@ -33,7 +34,7 @@ class NewVehicle(NamedTuple):
     """
 
     name: str
-    base: Literal["free", "prescribed", "fixed", "planar"]
+    base: str  # of BASES
     joints: tuple[str, ...]
     imu: str = "mpu6050"
     encoder: str = "cia406"
@@ -60,9 +61,14 @@ class NewVehicle(NamedTuple):
         return tuple(link for link in self.drawn.links if link != self.payload_link)
 
     @property
+    def floats_on_a_table(self) -> bool:
+        """On air bearings."""
+        return KINDS[self.base] is BaseKind.PLANAR
+
+    @property
     def pucks(self) -> dict[str, str]:
         """Frames and places of an air-bearing table's."""
-        return pucks.places(self.drawn) if self.base == "planar" else {}
+        return pucks.places(self.drawn) if self.floats_on_a_table else {}
 
     @property
     def by_torque(self) -> bool:
@@ -146,7 +152,7 @@ def write_files(directory: Path, files: dict[str, str]) -> list[Path]:
 _JOINTLESS = {  # by base
     "free": "; a thrown body shows its inertia by a rotor alone, without it only ratios of its moments: "
     "heft init --from tudelft, docs/free_body.md; with wheels on a spherical bearing: --base pivot",
-    "planar": ", or --thrusters of a body without an arm",
+    BaseKind.PLANAR.name: ", or --thrusters of a body without an arm",
 }
 
 
@@ -191,13 +197,6 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
 
 def _head(wanted: NewVehicle) -> str:
     about = KINDS[wanted.base].about
-    planar = f"""
-[planar]                       # 1 sigma
-tilt_sigma_m_s2 = 0.002        # as the table was levelled
-velocity_sigma_m_s = 0.02      # as the base is let go
-rate_sigma_rad_s = 1.0
-sag_sigma = 1.0                # drag of all pucks may grow so as their supply sags
-{pucks.tables(wanted.pucks)}"""
     return f"""{schema.FIRST_LINE}
 # Made by heft init. Numbers that are "yours" are placeholders: put yours there. Every key: docs/vehicle.md,
 # those of devices: docs/devices.md. `heft preflight vehicle.toml` says what does not fit.
@@ -208,7 +207,7 @@ urdf = "{_URDF}"
 base = "{wanted.base}"{" " * max(1, 22 - len(wanted.base))}# it {about}
 base_link = {json.dumps(wanted.root)}
 payload_link = {json.dumps(wanted.payload_link)}       # what is held: of it nothing need be known
-{planar if wanted.base == "planar" else ""}"""
+{pucks.tables(wanted.pucks) if wanted.floats_on_a_table else ""}"""
 
 
 def _bus(name: str, usual: str, wanted: NewVehicle) -> str:
@@ -329,7 +328,7 @@ def _urdf(wanted: NewVehicle) -> str:
     before = "base"
     for number, name in enumerate(wanted.joints, 1):
         own = f"link_{number}"
-        axis = "0 0 1" if number % 2 or wanted.base == "planar" else "0 1 0"
+        axis = "0 0 1" if number % 2 or wanted.floats_on_a_table else "0 1 0"
         place = "0.15 0 0" if number == 1 else "0.25 0 0"
         parts.append(link(own, 1.0, (0.12, 0.01, 0.0), 0.25))
         parts.append(

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from onboard import config
 from onboard.dynamics.mechanics import nonholonomic, virtual_manipulator, workspace
-from onboard.dynamics.mechanics.base_parameter_count import Count, fixed_base_count, free_base_count, planar_base_count
+from onboard.dynamics.mechanics.base_parameter_count import Count, fixed_base_count, free_base_count, plane_base_count
 from onboard.dynamics.mechanics.chain import SerialChain, chain_of
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.inverse_kinematics import TipMotion, follow, straight_line
@@ -24,7 +24,8 @@ from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.problem.identification import NAMING_SEED, build_model
+from onboard.flight.estimate.problem.identification import NAMING_SEED
+from onboard.flight.estimate.problem.model import build_model
 from onboard.regressor.base_parameters import SampledMotion, base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row
 
@@ -44,7 +45,7 @@ class Counted(NamedTuple):
 
 def closed_forms(chain: SerialChain, gravity_m_s2: Gravity) -> dict[BaseKind, Count]:
     """Counts in closed form by kind of base; empty where a joint is not revolute."""
-    found = fixed_base_count(chain, np.array(gravity_m_s2)), free_base_count(chain), planar_base_count(chain)
+    found = fixed_base_count(chain, np.array(gravity_m_s2)), free_base_count(chain), plane_base_count(chain)
     return {base: count for base, count in zip(BASES, found, strict=True) if count is not None}
 
 

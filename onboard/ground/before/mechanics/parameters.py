@@ -8,7 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from onboard import config
-from onboard.flight.estimate.problem.identification import NAMING_SEED, build_identifier, build_model
+from onboard.flight.estimate.problem.identification import NAMING_SEED, build_identifier
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.mechanics.analysis import Counted, counted
 from onboard.regressor.base_parameters import BaseParameters, base_parameters
 from onboard.regressor.groupings import Groupings, groupings

@@ -17,7 +17,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.free import FilterNoise, body_covariance, fly
 from onboard.ground.before.foresee.plan import MotionPlan

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from onboard import config
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, Bound, FreeBound, RowsBound

@@ -15,7 +15,7 @@ from onboard.config.methods import OF_A_FREE_BASE
 from onboard.config.segments import Library
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning.bound import TICK_HZ, FreeBound
 from onboard.ground.before.planning.limits import MotionLimits

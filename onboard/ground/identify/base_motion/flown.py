@@ -18,7 +18,7 @@ from onboard.estimation.gates import ReasonArray
 from onboard.flight.estimate.answers import change_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
 from onboard.ground.identify.kinds.likelihood_log import runs_of

@@ -15,7 +15,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import HALF, INTERVAL, MOST_CONTRADICTED, contradicted_text
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
 from onboard.ground.identify.replay.feed import PAUSE
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel

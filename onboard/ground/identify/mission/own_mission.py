@@ -15,7 +15,8 @@ from onboard.dynamics.model.inertia import RigidBody, composite_functional, elem
 from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
-from onboard.flight.estimate.problem.identification import build_identifier, build_model, build_online
+from onboard.flight.estimate.problem.identification import build_identifier, build_online
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS

@@ -24,7 +24,7 @@ GRAM = {"kg": ("g", 1e3), "kg m^2": ("g m²", 1e3), "kg m": ("g m", 1e3)}
 def digits(value: float, width: float) -> str:
     """``value`` with two digits of an interval ``width`` wide."""
     decimals = 0 if width <= 0 or not math.isfinite(width) else max(0, 1 - math.floor(math.log10(width)))
-    return f"{value:.{decimals}f}"
+    return f"{value:z.{decimals}f}"
 
 
 def shown_unit(unit: str, size: float) -> tuple[str, float]:

@@ -156,7 +156,7 @@ def _answers(found: list[Compared]) -> str:
             line += ["", "no answer", unit, "", ""]
         published = Cell("" if one.published is None else f"{factor * one.published:.1f}")
         rows.append([*line, published, Cell(one.standing, "long")])
-    headings = ["quantity", "truth", "heft", "95 % interval", "unit", "error %", "holds truth", "published", "good for"]
+    headings = ["quantity", "truth", "heft", "95 % interval", "unit", "error %", "holds truth", "published", "level"]
     keep = [0, *(n for n in range(1, len(headings)) if any(str(row[n]) for row in rows))]
     return html.table([headings[n] for n in keep], ([row[n] for n in keep] for row in rows))
 

@@ -12,7 +12,7 @@ from onboard import config
 from onboard.cli import main
 from onboard.config import ConfigError
 from onboard.dynamics.kinematics import link_motions
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.foresee.foresee import foresee
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import limits

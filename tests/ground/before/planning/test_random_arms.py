@@ -27,7 +27,7 @@ from onboard.cli import BAD_INPUT, main
 from onboard.config.driving import Range, require_within, resampled
 from onboard.config.segments import Library
 from onboard.dynamics.model.inertia import RigidBody
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.before.foresee.plan import plan_of
 from onboard.ground.before.planning import segments
 from onboard.ground.before.planning.limits import JointLimit, LimitsFile, MotionLimits

@@ -6,7 +6,7 @@ import pytest
 from onboard import config
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.tracked_pose import left, product, quaternion_of, right, rotation
-from onboard.flight.estimate.problem.identification import build_model
+from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.free_flyer.fusion import Fusion
 from onboard.identification.free_flyer.guesses import first_pose

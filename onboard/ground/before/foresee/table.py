@@ -6,8 +6,9 @@ from onboard import config
 from onboard.dynamics.model.payload import body_estimate
 from onboard.dynamics.ticks import FlightSignals
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
+from onboard.flight.estimate.problem.model import samples_per_tick
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
+from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
 from onboard.ground.before.foresee.plan import (
@@ -21,25 +22,25 @@ from onboard.ground.before.foresee.plan import (
 )
 from onboard.ground.identify.kinds.identified import standings
 from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
-from onboard.ground.identify.kinds.planar_log import table_prior, ticks_together, underway
+from onboard.ground.identify.kinds.table_log import table_prior, ticks_together, underway
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import table_fit
 from onboard.identification.table.joints import bound
 
 
-def foresee_planar(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
+def foresee_table(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     """Expected intervals of ``heft identify`` after a run on the table.
 
     Args:
-        vehicle: its file, with [planar].
+        vehicle: its file, with the section of the table.
         plan: the motion, at the estimator's ticks.
 
     Raises:
         ConfigError: the file does not fit the URDF or the devices.
         EstimationError: the motion leaves something open that nothing else tells.
     """
-    _, model = build_planar(vehicle)
+    _, model = build_table(vehicle)
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
     both = plan.used(vehicle) & plan.held
     payload = plan.payload

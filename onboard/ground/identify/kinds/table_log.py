@@ -16,8 +16,9 @@ from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import uncorrelated_s
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.problem.identification import build_planar, samples_per_tick
+from onboard.flight.estimate.problem.model import samples_per_tick
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior, imu_prior_of
+from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
@@ -61,14 +62,14 @@ class PlanarTickRecorder(TableRun):
         return not known[silent[-1] + 1 : here].any()
 
 
-def identify_planar(vehicle: config.Vehicle, log: LogReader) -> Identified:
+def identify_table(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """Estimate of payload and drag from a run on the table.
 
     Raises:
         ConfigError: no [planar] in the vehicle file, or the file does not fit the URDF or the devices.
         ChannelError: a log of another vehicle.
     """
-    _, model = build_planar(vehicle)
+    _, model = build_table(vehicle)
     at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
     recorder = PlanarTickRecorder(payload, len(model.joints))
