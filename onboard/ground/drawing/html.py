@@ -18,10 +18,10 @@ class Cell(str):
         return cell
 
 
-def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def table(headings: Sequence[str], rows: Iterable[Sequence[object]], *, listed: bool = False) -> str:
     """A table; cells are escaped and get the class of their :class:`Cell`. Empty without rows.
 
-    One with a ``long`` cell is a list on a narrow screen, a cell a line behind its heading.
+    One that is ``listed``, or has a ``long`` cell, is a list on a narrow screen, a cell a line behind its heading.
     """
     body = ""
     kinds = ["" for _ in headings]
@@ -34,7 +34,7 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         return ""
     numeric = ["n" if kind.startswith("n") else "" for kind in kinds]
     head = "".join(f"<th{_class(kind)}>{escape(text)}</th>" for text, kind in zip(headings, numeric, strict=True))
-    shape = _class("stacks" if "long" in kinds else "")
+    shape = _class("stacks" if listed or "long" in kinds else "")
     return f'<div class="scroll"><table{shape}><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>\n'
 
 

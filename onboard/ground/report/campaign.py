@@ -113,11 +113,13 @@ def _answers(found: Summary) -> str:
     for one in found.errors:
         numbers = (one.p95, one.rms, one.mean, one.worst, one.sigma, one.drawn, one.in_sigma, one.in_bound)
         formats = (*[".3g"] * 2, "+.3g", *[".3g"] * 3, ".2f", ".2f")
-        told = [Cell("" if np.isnan(v) else format(v, f)) for v, f in zip(numbers, formats, strict=True)]
+        cells = [Cell("" if np.isnan(v) else format(v, f)) for v, f in zip(numbers, formats, strict=True)]
         answered = Cell(f"{one.answered:,} of {one.flights:,}")
-        rows.append([one.quantity, one.shown_in, answered, *told, Cell(one.covered.text, _kind(one.covered))])
+        rows.append([one.quantity, one.shown_in, answered, *cells, Cell(one.covered.text, _kind(one.covered))])
     headings = ["quantity", "in", "answered", "p95", "rms", "mean", "worst", "sigma", "of it drawn"]
-    return html.table([*headings, "rms / sigma", "rms / bound", "inside 95 % (band)"], rows)
+    headings += ["rms / sigma", "rms / bound", "inside 95 % (band)"]
+    keep = [n for n in range(len(headings)) if n < 3 or any(str(row[n]) not in ("", "0") for row in rows)]
+    return html.table([headings[n] for n in keep], [[row[n] for n in keep] for row in rows], listed=True)
 
 
 def _kind(covered: Share) -> str:
