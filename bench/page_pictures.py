@@ -30,7 +30,11 @@ def take(log: Path, output: Path) -> None:
     """
     output.mkdir(parents=True, exist_ok=True)
     source = LogFrames(LogReader(log))
-    with tempfile.TemporaryDirectory() as profile, browser(Path(profile)) as tab, opened(tab, source):
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        browser(Path(profile)) as tab,
+        opened(tab, source),
+    ):
         tab.wait("document.querySelector('.answer[data-name]') !== null")
         steps = source.about()["steps"]
         number = min(range(len(steps)), key=lambda k: abs(steps[k] - SHOWN_S))

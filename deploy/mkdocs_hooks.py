@@ -12,7 +12,7 @@ from latex2mathml.converter import convert
 
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.DOTALL | re.MULTILINE)
 _SPAN = re.compile(r"(`[^`\n]+`)")
-_DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
+_DISPLAY = re.compile(r"( *)\$\$(.+?)\$\$", re.DOTALL)
 _INLINE = re.compile(r"(?<![\\$\w])\$([^$\n]+(?:\n[^$\n]+)?)\$(?!\w)")
 _KEPT = re.compile(  # of a page: code, links, HTML with its content where it is a formula, headings
     r"(^ *```.*?^ *```$|`[^`\n]+`|!?\[[^\]]*\]\([^)]*\)|<math.*?</math>|<[^>]+>|^#.*?$)", re.DOTALL | re.MULTILINE
@@ -33,7 +33,7 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
         return f"[{found[0]}]({found[1]})" if found[1] in pages else found[0]
 
     def prose(text: str) -> str:
-        parts = _SPAN.split(_DISPLAY.sub(lambda it: "\n\n" + convert(it[1], display="block") + "\n\n", text))
+        parts = _SPAN.split(_DISPLAY.sub(lambda it: f"\n\n{it[1]}{convert(it[2], display='block')}\n\n", text))
         parts[::2] = [_INLINE.sub(lambda it: f"<span>{convert(it[1])}</span>", part) for part in parts[::2]]
         parts[1::2] = [part.replace(r"\|", "|") for part in parts[1::2]]  # escaped for GitHub
         return _PAGE.sub(link, "".join(parts))
