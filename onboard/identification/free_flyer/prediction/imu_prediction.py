@@ -97,6 +97,11 @@ class ImuPredictor:
         bends: where the bends of flexible joints and their rates stand, which change, too.
         anew_at: ``moving`` and ``bends``: what a window knows nothing of.
         cyclic_slopes: see :meth:`GeometryPrior.cyclic_slopes`.
+        layout, links, joint_errors, columns: of the state, and of what its elements do to the vehicle.
+        in_links, in_joints, drifting: where deviations of links, errors of joints, and what drifts and its drift stand.
+        imus, cells, own, weight: instruments in the base, elements of the state that are errors of each, and the weight
+            of a line's neighbouring ticks in the mean of its samples.
+        of_motion: places in the state, and among what the base's motion depends on.
 
     Raises:
         UnknownFrameError: no payload link, or a name that the URDF does not have.
@@ -122,14 +127,14 @@ class ImuPredictor:
         self.further = tuple(sorted(further, key=lambda one: (FurtherImu, FurtherCell, FurtherPose).index(type(one))))
         self.instruments = (name, *(one.name for one in self.further))
         self.imu_frames = imu_frame, *(one.frame for one in self.further if isinstance(one, FurtherImu))
-        self._links = UncertainLinks(vehicle, link_covariance)
-        halves, r = self._links.halves, len(self._links.basis)
-        self._flexible = FlexibleJoints.of(vehicle, geometry, self._links.indices)
+        self.links = UncertainLinks(vehicle, link_covariance)
+        halves, r = self.links.halves, len(self.links.basis)
+        self._flexible = FlexibleJoints.of(vehicle, geometry, self.links.indices)
         blocks = {
             "start": Unknowns(tuple(f"rate_{axis}" for axis in "xyz"), np.full(3, np.nan)),
-            "payload": Unknowns(self._links.payload_names, np.full(10, np.nan)),
+            "payload": Unknowns(self.links.payload_names, np.full(10, np.nan)),
             **imu_blocks(imu_prior._replace(clock_rate_error=0.0)),
-            "links": Unknowns(self._links.inertial_names, np.ones(r)),
+            "links": Unknowns(self.links.inertial_names, np.ones(r)),
             **geometry.blocks(vehicle),
             **({} if self._flexible is None else self._flexible.blocks()),
             "thrusters": Thruster.block(thrusters),
@@ -137,7 +142,7 @@ class ImuPredictor:
         }
         for one in self.further:
             blocks |= blocks_of(one)
-        self._layout = layout = UnknownLayout(blocks)
+        self.layout = layout = UnknownLayout(blocks)
         self.names, self.sigma = layout.names, layout.sigma
         self._in_push = layout.estimated("disturbance")
         self.pushes: list[tuple[int, int]] = list(zip(*self._in_push.reshape(2, -1).tolist(), strict=True))
@@ -145,9 +150,9 @@ class ImuPredictor:
         self.cyclic_slopes = geometry.cyclic_slopes(vehicle)
         of_functions = geometry.cyclic_joints(vehicle) if self._flexible is None else self._flexible.placed(layout)
         errors = slice(PAYLOAD.stop, PAYLOAD.stop + SIZE)
-        self._imus = [PlacedImu(*vehicle.pose_in_base(imu_frame), samples, errors, layout["imu_place"])]
-        self._imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
-        self._cells = cuts_of(vehicle, self.further, self._links.indices, of_functions)
+        self.imus = [PlacedImu(*vehicle.pose_in_base(imu_frame), samples, errors, layout["imu_place"])]
+        self.imus += [self._further_imu(one) for one in self.further if isinstance(one, FurtherImu)]
+        self.cells = cuts_of(vehicle, self.further, self.links.indices, of_functions)
         self._poses = [self._pose(one) for one in self.further if isinstance(one, FurtherPose)]
         self.wandering = [
             (at, one.delay_memory_s)
@@ -171,29 +176,29 @@ class ImuPredictor:
         self.lines = tuple(
             slice(*ends) for ends in pairwise(accumulate((6, *(f.width for f in self.further)), initial=0))
         )
-        self._joint_errors, self._columns = JointErrors(vehicle, of_functions), self._links.columns
-        self._noise = JointNoise(vehicle, self._joint_errors, self._imus, [cut for _, cut in self._cells], self.lines)
-        self._in_links, self._in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
-        self.drawn = dict(zip(self._links.drawn, zip(self._in_links.reshape(-1, 10), halves, strict=True), strict=True))
-        self._scaled = Scaled(self._in_links, self._links.whole)
+        self.joint_errors, self.columns = JointErrors(vehicle, of_functions), self.links.columns
+        self._noise = JointNoise(vehicle, self.joint_errors, self.imus, [cut for _, cut in self.cells], self.lines)
+        self.in_links, self.in_joints = layout.estimated("links"), layout.estimated("joints", "cyclic")
+        self.drawn = dict(zip(self.links.drawn, zip(self.in_links.reshape(-1, 10), halves, strict=True), strict=True))
+        self._scaled = Scaled(self.in_links, self.links.whole)
         in_thrusters = layout.estimated("thrusters", "disturbance")
-        self.of_bodies = np.concatenate([self._in_links, self._in_joints, in_springs, in_thrusters])
-        of_joints = 13 + r + layout.kept[self._in_joints] - layout["joints"].start
-        moved = self._joint_errors if self._in_joints.size or self._flexible else None
+        self.of_bodies = np.concatenate([self.in_links, self.in_joints, in_springs, in_thrusters])
+        of_joints = 13 + r + layout.kept[self.in_joints] - layout["joints"].start
+        moved = self.joint_errors if self.in_joints.size or self._flexible else None
         columns = 13 + r + (0 if moved is None else moved.columns)
         of_thrusters = columns + layout.kept[in_thrusters] - layout["thrusters"].start
-        self._of_motion = [  # places in the state, and among what the base's motion depends on
+        self.of_motion = [
             (slice(0, PAYLOAD.stop), slice(0, PAYLOAD.stop)),
-            (together(self._in_links), slice(13, 13 + r)),
-            (together(self._in_joints), together(of_joints)),
+            (together(self.in_links), slice(13, 13 + r)),
+            (together(self.in_joints), together(of_joints)),
             (together(in_thrusters), together(of_thrusters)),
         ]
-        self._of_poses = slice(len(self._imus) + len(self._cells), None)
-        self._own = [Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self._imus]
-        self._own += [Own(*kept_of(layout, layout[cell.name])) for cell, _ in self._cells]
-        self._own += [Own(*kept_of(layout, one.unknown)) for one in self._poses]
+        self._of_poses = slice(len(self.imus) + len(self.cells), None)
+        self.own = [Own(*kept_of(layout, one.errors), *kept_of(layout, one.place)) for one in self.imus]
+        self.own += [Own(*kept_of(layout, layout[cell.name])) for cell, _ in self.cells]
+        self.own += [Own(*kept_of(layout, one.unknown)) for one in self._poses]
         samples_of = np.repeat([samples, *(one.samples for one in self.further)], [6, *(f.width for f in self.further)])
-        self._weight = weight_of(samples_of)
+        self.weight = weight_of(samples_of)
         self._set_changing()
         self._core = self._core_of(samples_of, moved)
 
@@ -202,23 +207,23 @@ class ImuPredictor:
         if self._flexible is not None:
             from onboard.identification.free_flyer.prediction.moving_base import MovingBase  # noqa: PLC0415 - few have them
 
-            parts = self._links, self._columns, self._joint_errors, self._flexible, self.thrusters
-            self._base = MovingBase(self.vehicle, self._layout, *parts)
-        every = np.arange(self._layout.size + len(self.names))
-        both = [(every[here], every[there]) for here, there in self._of_motion]
+            parts = self.links, self.columns, self.joint_errors, self._flexible, self.thrusters
+            self._base = MovingBase(self.vehicle, self.layout, *parts)
+        every = np.arange(self.layout.size + len(self.names))
+        both = [(every[here], every[there]) for here, there in self.of_motion]
         of_motion = [np.concatenate(one) for one in zip(*both, strict=True)]
-        bodies = self._columns, self._scaled, moved, self.thrusters
-        instruments = self._imus, self._cells, self._own, samples
-        drifting, by = self._drifting
+        bodies = self.columns, self._scaled, moved, self.thrusters
+        instruments = self.imus, self.cells, self.own, samples
+        drifting, by = self.drifting
         changing = Changing(self.changing, drifting, by, self._in_push)
-        return PredictionCore(self.vehicle, self._layout, *bodies, *instruments, of_motion, changing)
+        return PredictionCore(self.vehicle, self.layout, *bodies, *instruments, of_motion, changing)
 
     def _set_changing(self) -> None:
         """What of the state changes from tick to tick, and how."""
         self.biases = [
             (at, self.names.index(of)) for at, name in enumerate(self.names) if (of := drift_of(name)) in self.names
         ]
-        drifting, by = self._drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T
+        drifting, by = self.drifting = np.array([*self.biases, *self.pushes], np.intp).reshape(-1, 2).T
         self.changing = np.concatenate([np.arange(3), drifting, self.anew_at])
         self._changes = self.changing.astype(np.int64)
         self.stated = self.sigma.copy()
@@ -229,12 +234,12 @@ class ImuPredictor:
         self._walked = 2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2  # 1/s
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
-        at = self._layout[f"gyro_bias_rad_s {one.name}"].start
-        errors, place = slice(at, at + SIZE), self._layout[f"place {one.name}"]
+        at = self.layout[f"gyro_bias_rad_s {one.name}"].start
+        errors, place = slice(at, at + SIZE), self.layout[f"place {one.name}"]
         return PlacedImu(*self.vehicle.pose_in_base(one.frame), one.samples, errors, place)
 
     def _pose(self, one: FurtherPose) -> PlacedPose:
-        layout, (R_BM, p_BoMo_B) = self._layout, self.vehicle.pose_in_base(one.frame)
+        layout, (R_BM, p_BoMo_B) = self.layout, self.vehicle.pose_in_base(one.frame)
         own = slice(layout[f"attitude {one.name}"].start, layout[f"delay_s {one.name}"].stop)
         begin = int(layout.estimated(f"attitude {one.name}")[0])
         return PlacedPose((quaternion_of(R_BM), p_BoMo_B), own, slice(begin, begin + MOTION.stop))
@@ -256,7 +261,7 @@ class ImuPredictor:
 
     def rate_in_base(self, rate_S: FloatArray, imu: int = 0) -> FloatArray:
         """A rate in an IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
-        return np.asarray(self._imus[imu].R_BS @ rate_S, np.float64)
+        return np.asarray(self.imus[imu].R_BS @ rate_S, np.float64)
 
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of the joints' noise on the prediction, one sigma, (n, m).
@@ -277,7 +282,7 @@ class ImuPredictor:
         noise, off = ticks.joint_sigma, {self.names[at] for at in wrong}
         if not any(name.startswith("scale_") for name in off):
             return noise
-        every = [name for name in self._layout.every if name.startswith("cyclic_")]
+        every = [name for name in self.layout.every if name.startswith("cyclic_")]
         for k, joint in enumerate(self.vehicle.joints):
             ends = tuple(f"_{wave}_{joint.name}" for wave in ("cos", "sin"))
             own = [name for name in every if name.endswith(ends) and name in self.names]
@@ -331,11 +336,11 @@ class ImuPredictor:
             if not np.isfinite(bend.b).all():
                 return TickPrediction.none(n - 2, self.lines[-1].stop, len(state), len(self.changing))
             made = self._core.begin_from(base, self.period_s, (q, dq, ddq), state)
-            bent = self._flexible.along(base, bend, x, self.period_s, self._of_motion, len(state))
+            bent = self._flexible.along(base, bend, x, self.period_s, self.of_motion, len(state))
         if self._poses:
             self._track(made, base if bent else self._core.base(made), self._unpushed(state))
         if bent is not None:
-            more, weight = bent.added(made.by_motion), self._weight[:, None]
+            more, weight = bent.added(made.by_motion), self.weight[:, None]
             made.jacobian[:] += (more[2:] + more[:-2]) * weight + (1.0 - 2.0 * weight) * more[1:-1]
             bent.carry(made.transition, made.carried)
         self._core.end(made, state)
@@ -345,20 +350,20 @@ class ImuPredictor:
         """All unknowns without what pushes."""
         linear = self._scaled.linear(state)
         linear[self._in_push] = 0.0
-        return self._layout.whole(linear)
+        return self.layout.whole(linear)
 
     def _track(self, made: PredictionBegun, base: BasePrediction, x: FloatArray) -> None:
         """Lines of the trackers, and what these add to what is carried on."""
-        first = 3 + len(self._drifting[0])
-        for pose, own, kept in zip(self._poses, self.lines[self._of_poses], self._own[self._of_poses], strict=True):
-            at_joints = self._joint_errors if self._in_joints.size else None
-            shown = predict_pose(base, self.period_s, pose.mount, x[pose.unknown], self._columns, at_joints)
+        first = 3 + len(self.drifting[0])
+        for pose, own, kept in zip(self._poses, self.lines[self._of_poses], self.own[self._of_poses], strict=True):
+            at_joints = self.joint_errors if self.in_joints.size else None
+            shown = predict_pose(base, self.period_s, pose.mount, x[pose.unknown], self.columns, at_joints)
             made.values[:, own], made.by_motion[:, own] = shown.values[1:-1], shown.by_motion
             made.jacobian[:, own, kept.errors] = shown.d_own[1:-1][:, :, kept.of_errors]
             rows = slice(first, first + MOTION.stop)
             made.carried[pose.motion], made.transition[rows] = shown.carried, 0.0
             made.transition[rows, kept.errors] = shown.carried_by_own[:, kept.of_errors]
-            for here, there in self._of_motion:
+            for here, there in self.of_motion:
                 made.transition[rows, here] = shown.carried_by_motion[:, there]
             first = rows.stop
 
@@ -409,4 +414,4 @@ class ImuPredictor:
 
     def chi(self, state: FloatArray) -> FloatArray:
         """Standard parameters of all links, (10 x links,)."""
-        return self._links.chi(state[PAYLOAD], self._links.basis @ self._scaled.linear(state)[self._in_links])
+        return self.links.chi(state[PAYLOAD], self.links.basis @ self._scaled.linear(state)[self.in_links])
