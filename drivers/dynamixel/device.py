@@ -259,15 +259,15 @@ class DynamixelBus(PolledDevice):
         position, accepted = (present.position, False) if encoder_fails else servo.position.place(present.position)
         per_count = tau / config.counts_per_revolution
 
-        def told(of: str, count: int, scale: float, unit: str, *, good: bool) -> Value:
+        def value(of: str, count: int, scale: float, unit: str, *, good: bool) -> Value:
             status = SampleStatus.OK if good else SampleStatus.NOT_VALID
             return Value(config.name + of, count, scale, unit, block.error, int(status))
 
         velocity_rad_s = table.VELOCITY_RAD_S * table.COUNTS / config.counts_per_revolution
         readings = [
-            told("", position, per_count, "rad", good=accepted),
-            told("_velocity", present.velocity, velocity_rad_s, "rad/s", good=not encoder_fails),
-            told("_torque", present.current, servo.ampere, "A", good=bool(servo.ampere) and not block.error),
+            value("", position, per_count, "rad", good=accepted),
+            value("_velocity", present.velocity, velocity_rad_s, "rad/s", good=not encoder_fails),
+            value("_torque", present.current, servo.ampere, "A", good=bool(servo.ampere) and not block.error),
         ]
         if config.driven:
             said = registers.decode_driven(block.data)

@@ -206,19 +206,19 @@ def test_the_server_has_those_of_the_file_that_is_given_or_of_the_log_without_it
     source = LogFrames(LogReader(made_log))
     assert source.urdf == URDF
 
-    def told(given: str = "") -> dict[str, Any]:
+    def meshes(given: str = "") -> dict[str, Any]:
         with served(source, urdf=tmp_path / given if given else None) as one:
             assert json.loads(ask(one.port, "/flight").body)["meshes"] is True
             ask(one.port, "/meshes")
             found: dict[str, Any] = json.loads(ask(one.port, "/meshes").body)
             return found
 
-    assert len(told("made.urdf")["corners"]["base"]) == 9 * len(BOX)
+    assert len(meshes("made.urdf")["corners"]["base"]) == 9 * len(BOX)
     source.urdf = urdf(base="box.stl").replace(
         b'<link name="payload"/>', f'<link name="payload"><visual>{SPHERE}</visual></link>'.encode()
     )
     for given in ("", "gone.urdf"):
-        assert (set(told(given)["corners"]), told(given)["left_out"]) == ({"payload"}, 1)
+        assert (set(meshes(given)["corners"]), meshes(given)["left_out"]) == ({"payload"}, 1)
     source.urdf = b""
     with served(source) as one:
         assert ask(one.port, "/meshes").status == 404

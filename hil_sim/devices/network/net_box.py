@@ -70,9 +70,9 @@ class NetBox(NetworkedTwin[int]):
         elif command == _STOP:
             self._stop("sample")
         else:
-            self._told(command, records)
+            self._further(command, records)
 
-    def _told(self, command: int, number: int) -> None:
+    def _further(self, command: int, number: int) -> None:
         """A command that this box is not known to have, but other boxes."""
 
     def _unbiased(self, values: list[float]) -> list[float]:
@@ -118,7 +118,7 @@ class HexBox(NetBox):
         self._period_ns, self.filter = 1e7, 0
         self._read, self._bias = [0.0] * 6, [0.0] * 6
 
-    def _told(self, command: int, number: int) -> None:
+    def _further(self, command: int, number: int) -> None:
         """See ``NetBox``."""
         if command == _SPEED and number and self._period_ns != 1e6 * number:
             self._period_ns, self._counted = 1e6 * number, None

@@ -122,9 +122,9 @@ class RftTwin(ComponentsTwin):
         elif number == _BIAS:
             self._bias = self._measured(now_ns)[0] if said[0] else [0.0] * 6
         else:
-            self._respond(number, self._told(number, said, now_ns), now_ns + _ANSWER_NS)
+            self._respond(number, self._answer_to(number, said, now_ns), now_ns + _ANSWER_NS)
 
-    def _told(self, number: int, said: bytes, now_ns: int) -> bytes:
+    def _answer_to(self, number: int, said: bytes, now_ns: int) -> bytes:
         """Contents of the answer to a command that has one."""
         speed = (1, 921_600), (2, 460_800), (3, 230_400), (4, 115_200), (5, 57_600)
         now = [code for code, baud in speed if baud == self.line.baud_rate]
