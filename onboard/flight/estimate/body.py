@@ -11,7 +11,8 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import composite_functional
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.identification.body.fit import BodyModel, BodySigmas, Thrusters, Tracker
+from onboard.identification.body.fit import BodyModel
+from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
 from onboard.identification.body.valves import Valve
 
 _LEAST_ON_TABLE = 0.5  # of a thruster's force: less is hardly one that moves the body on the table

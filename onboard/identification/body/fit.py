@@ -22,7 +22,8 @@ from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINI
 from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
-from onboard.identification.body.valves import Opening, Valve
+from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
+from onboard.identification.body.valves import Opening
 from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
 from onboard.identification.free_flyer.prediction.parameters import UnknownLayout, Unknowns
 from onboard.identification.windows import Part, WindowedFit, judged, total
@@ -36,46 +37,6 @@ _LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how
 _BETTER = -2.0 * np.log(ODDS_OF_PART)  # squares by which valves that stay shut explain the poses
 _SENSORS = 3
 _AS_WRITTEN = Opening(0.0, 0.0, 0.0)
-
-
-class Thrusters(NamedTuple):
-    """j thrusters, in the base's axes and on the table."""
-
-    names: tuple[str, ...]
-    force_N: FloatArray  # (j,) at level 1  # noqa: N815
-    place_m: FloatArray  # (j, 2)
-    direction: FloatArray  # (j,) angle of the force from x, rad
-    scale_sigma: FloatArray  # (j,)
-    common_sigma: float  # relative, of the force of all alike
-    valves: tuple[Valve, ...]
-
-
-class BodySigmas(NamedTuple):
-    """1 sigma of what moves the body besides its thrusters' scales, and of what is known of these."""
-
-    mass: float | None  # relative; None: nothing is known of it
-    tilt_m_s2: float
-    uneven_m_s2: float  # steady in a window
-    turning_rad_s2: float
-    drag_1_s: float
-    spin_drag_1_s: float
-    place_m: float  # of each thruster's lever
-    turn_rad: float
-    leak: float  # share of the force while it is off
-    delay_s: tuple[float, float]  # least and largest
-    each_delay_s: float
-    loss_s: float
-
-
-class Tracker(NamedTuple):
-    """Where the tracked frame is in the base, and 1 sigma of what is known of it."""
-
-    place_m: FloatArray  # (2,)
-    yaw_rad: float
-    turn_sigma_rad: float
-    place_sigma_m: float
-    scale_sigma: float
-    noise: FloatArray  # (3,) of one pose: m, m, rad
 
 
 class BodyFit(NamedTuple):

@@ -4,7 +4,6 @@ Samples are stored with their device ticks; their times are computed from the ti
 clock solution shifts all samples of a window consistently.
 """
 
-import ctypes
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -23,7 +22,7 @@ from onboard.flight.estimate.readings.history import History, RecentSamples, Sam
 from onboard.flight.estimate.readings.jumps import JumpWatch, jumped_text
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
-from onboard.native import library, structures
+from onboard.flight.estimate.readings.tick_means import tick_means
 from onboard.regressor.signals import EncoderJump
 from onboard.timebase.timebase import Timebase
 
@@ -197,7 +196,8 @@ class SignalSmoother:
         """
         if not names:
             return nothing(0, len(at_ns), 0, GateReason.OK)
-        return side_by_side([self._means_of(name, timebase, at_ns, period_ns) for name in names])
+        recent = ((self._signals[name], self._recent(name, timebase, at_ns)) for name in names)
+        return side_by_side([tick_means(signal, samples, at_ns, period_ns) for signal, samples in recent])
 
     def _recent(
         self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], seen: dict[str, SampleTimes] | None = None
@@ -335,24 +335,6 @@ class SignalSmoother:
         functions = np.stack([one.values for one in smoothed], axis=1)
         parts = zip(group, [0, *ends], ends, strict=False)
         return {name: functions[:, :, 2 * first : 2 * last] for name, first, last in parts if last > first}
-
-    def _means_of(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> ChannelAtTicks:
-        channel, recent = self._signals[name], self._recent(name, timebase, at_ns)
-        n, columns = len(at_ns), len(channel.noise)
-        if isinstance(recent, GateReason):
-            return nothing(columns, n, 0, recent)
-        k, half_s = len(recent.times_s), 0.5e-9 * period_ns
-        noise = channel.inflation * np.array(channel.noise)
-        samples = structures.SamplesStruct(
-            *(k, n, columns, int(GateReason.GAP)),
-            *(library.given(recent.times_s, k), (at_ns - at_ns[0]) * 1e-9, library.given(recent.values, k, columns)),
-            *(library.given(np.array(channel.delays_s, np.float64), columns), library.given(noise, columns)),
-            np.ascontiguousarray(recent.wrong, np.int64),
-        )
-        out = np.empty(n * (2 * columns + 1))
-        library.call("heft_tick_means", ctypes.byref(samples), half_s, half_s / channel.period_s, out=out)
-        values, sigma, refused = library.carved(out, [(n, columns), (n, columns), (n,)])
-        return ChannelAtTicks((values,), (sigma,), refused.astype(np.int64), of_samples=(np.ones_like(values),))
 
 
 def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
