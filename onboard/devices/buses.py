@@ -182,7 +182,8 @@ class StreamedDevice(BusDevice):
         """See ``DeviceSection``."""
         delay_ns, sigma_ns = self.arrival_ns(around)
         cause = f"{self.bus}: from time stamp to package, and till the port is read; the same for all on it"
-        common = [Delay(channel, "", 1e-9 * delay_ns, 1e-9 * sigma_ns, cause) for channel in self.channels(name)]
+        known = 1e-9 * delay_ns, 1e-9 * sigma_ns, cause, self.bus
+        common = [Delay(channel, "", *known) for channel in self.channels(name)]
         return [*super().delays(name, around), *common]
 
 

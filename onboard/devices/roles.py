@@ -204,6 +204,7 @@ class LoadCellRole(NamedTuple):
     name: str
     channel: str
     keys: LoadCellKeys | TorqueKeys
+    delay_sigma_s: float = 0.0
 
     @property
     def titled(self) -> tuple[str, str]:

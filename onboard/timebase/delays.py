@@ -7,13 +7,17 @@ from typing import NamedTuple
 
 
 class Delay(NamedTuple):
-    """What is taken off the samples of ``channel``, and why; sigma 0: as good as the data sheet."""
+    """What is taken off the samples of ``channel``, and why; sigma 0: as good as the data sheet.
+
+    ``clock``: whose arrivals it is of, and so the error of all that arrives there; empty: it is of no arrival.
+    """
 
     channel: str
     part: str  # "gyro", "accel" or "" for all of it
     delay_s: float
     sigma_s: float
     cause: str
+    clock: str = ""
 
 
 def on_wire_s(count: int, baud: float) -> float:

@@ -12,7 +12,6 @@ from drivers.odrive.message import heard
 from drivers.records import SCALAR
 from onboard.devices.base import BusDevice, Channels, Heard, OpeningBus, Problem, Surroundings
 from onboard.devices.driven import MotorDevice
-from onboard.devices.roles import Roles
 from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay
 from onboard.timebase.timebase import ChannelClock, FollowerChannel, FreeChannel
@@ -77,12 +76,6 @@ noise_rad = 5e-5               # yours: of a sample, arm at rest
         """Position, velocity, torque."""
         return dict.fromkeys(self.settings(name).channels, SCALAR)
 
-    def roles(self, name: str, period_s: float) -> Roles:
-        """See ``DeviceSection``: and when it samples is not known."""
-        found = super().roles(name, period_s)
-        found.joints[0] = found.joints[0]._replace(delay_sigma_s=1e-3 * self.delay_sigma_ms)
-        return found
-
     def clocks(self, name: str, around: Surroundings) -> dict[str, ChannelClock]:
         """See ``DeviceSection``: position and velocity come together."""
         free = FreeChannel(1.0, 1e6 * self.delay_ms, 1e6 * self.delay_sigma_ms)
@@ -94,6 +87,6 @@ noise_rad = 5e-5               # yours: of a sample, arm at rest
         """See ``DeviceSection``."""
         cause = "from the estimate to the arrival of its message"
         return [
-            Delay(channel, "", 1e-3 * self.delay_ms, 1e-3 * self.delay_sigma_ms, cause)
+            Delay(channel, "", 1e-3 * self.delay_ms, 1e-3 * self.delay_sigma_ms, cause, name)
             for channel in self.channels(name)
         ]

@@ -33,8 +33,7 @@ class MagnetDevice(JointDevice):
 
     def roles(self, name: str, period_s: float) -> Roles:
         """See ``DeviceSection``."""
-        roles, (delay_s, sigma_s) = super().roles(name, period_s), self.lag_s
+        roles, (delay_s, _) = super().roles(name, period_s), self.lag_s
         single = abs(self.counts_per_revolution) <= type(self).model_fields["counts_per_revolution"].default
         signal = roles.signals[name]._replace(delays_s=(delay_s,), absolute=single)
-        joint = roles.joints[0]._replace(delay_sigma_s=sigma_s)
-        return roles._replace(joints=[joint], signals={name: signal})
+        return roles._replace(signals={name: signal})

@@ -154,10 +154,7 @@ after_stop = "hold"            # it has no brake: without torque the arm falls
         """See ``DeviceSection``."""
         found = super().roles(name, period_s)
         single = abs(self.counts_per_revolution) <= COUNTS
-        joint = found.joints[0]._replace(delay_sigma_s=1e-3 * self.delay_sigma_ms)
-        return found._replace(
-            joints=[joint], signals={**found.signals, name: found.signals[name]._replace(absolute=single)}
-        )
+        return found._replace(signals={**found.signals, name: found.signals[name]._replace(absolute=single)})
 
     def problems(self, name: str, around: Surroundings) -> Iterator[Problem]:
         """See ``DeviceSection``: what is asked must fit on the line."""

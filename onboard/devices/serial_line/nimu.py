@@ -63,7 +63,7 @@ gyro_noise_rad_s = 2e-3
         delay_ns, sigma_ns = self._packet_delay_ns(around)
         gyro_s, accel_s = self.filter_delays_s
         return [
-            Delay(name, "", delay_ns * 1e-9, sigma_ns * 1e-9, "packet: wait for the line, and on it"),
+            Delay(name, "", delay_ns * 1e-9, sigma_ns * 1e-9, "packet: wait for the line, and on it", name),
             Delay(name, "gyro", gyro_s, 0.0, "its filter"),
             Delay(name, "accel", accel_s, 0.0, "its filter"),
         ]

@@ -67,7 +67,7 @@ class QsbDevice(SerialLineDevice, JointDevice):
         if self.sync_edge != "none":
             return []
         delay_ns, sigma_ns = self._line_delay_ns(around)
-        return [Delay(name, "", delay_ns * 1e-9, sigma_ns * 1e-9, "measurement, and line on the wire")]
+        return [Delay(name, "", delay_ns * 1e-9, sigma_ns * 1e-9, "measurement, and line on the wire", name)]
 
     def marks(self, name: str, rows: Mapping[str, Rows]) -> int | None:
         """See ``BusDevice``."""

@@ -185,7 +185,7 @@ def clock_map(vehicle: config.Vehicle, started: Started | None) -> dict[str, str
     for name, device in vehicle.file.device.items():
         for channel in device.channels(name):
             facts[channel] = f"nominally {vehicle.rate_hz(name):g} Hz"
-    for channel, part, delay_s, sigma_s, cause in known_delays(vehicle):
+    for channel, part, delay_s, sigma_s, cause, _ in known_delays(vehicle):
         of = f" of {part}" if part else ""
         facts[channel] = (
             f"{facts.get(channel, '')}; delay{of} {delay_s * 1e3:g} ms, sigma {sigma_s * 1e3:g} ms: {cause}"

@@ -4,10 +4,12 @@ import math
 
 import pytest
 
-from onboard import config
+from onboard import cli, config
+from onboard.devices.roles import TorqueKeys
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import biases, geometry_prior
+from onboard.flight.estimate.readings.roles import roles_of
 
 STATED = "gyro_bias_rad_s = 2e-3\naccelerometer_bias_m_s2 = 0.03 # which is estimated\n"
 
@@ -51,3 +53,26 @@ def test_a_device_that_states_its_delay_adds_it_to_the_joints_of_a_free_base():
     assert geometry.joints["joint_1"].delay_s == pytest.approx(math.hypot(0.45e-3, config.JointKeys().delay_s))
     encoders = config.named("dymaflex")
     assert geometry_prior(encoders, build_model(encoders)).joints["joint_1"].delay_s == config.JointKeys().delay_s
+
+
+@pytest.mark.parametrize(
+    ("kinds", "joint_s", "cell_s"),
+    [
+        (("cia406", "bota_ft"), 0.0, 0.926e-3),  # a pulse marks the joints, not the sensor's packages
+        (("odrive", "cia404"), 0.2e-3, 0.05e-3),  # each encoder by its own arrivals
+        (("ur_joint", "ur_wrench"), 0.0, 0.05e-3),  # all in one package: late together
+        (("ur_joint", "bota_ft"), 0.0, 2.54e-3),  # against the joints, which are late too
+    ],
+)
+def test_what_arrives_by_itself_is_late_against_the_joints_by_its_wait(tmp_path, kinds, joint_s, cell_s):
+    encoder, cell = kinds
+    base = [
+        "--base",
+        "fixed" if encoder == "ur_joint" else "free",
+        *([] if encoder == "ur_joint" else ["--imu", "bmi088"]),
+    ]
+    assert cli.main(["init", str(tmp_path / "it"), *base, "--encoder", encoder, "--load-cell", cell]) == cli.OK
+    roles = roles_of(config.load(tmp_path / "it" / "vehicle.toml"))
+    assert [one.delay_sigma_s for one in roles.joints] == pytest.approx([joint_s] * len(roles.joints), rel=0.02)
+    cells = [one.delay_sigma_s for one in roles.cells if not isinstance(one.keys, TorqueKeys)]
+    assert cells == pytest.approx([cell_s] * len(cells), rel=0.02)

@@ -37,10 +37,5 @@ class ToyAngleDevice(SerialLineDevice, JointDevice):
         poll_s = 1e-3 * self.poll_period_ms
         return WIRE_NS * 1e-9 + 0.5 * poll_s, poll_s / 12**0.5
 
-    def roles(self, name, period_s):
-        roles = super().roles(name, period_s)
-        joint = roles.joints[0]._replace(delay_sigma_s=self.delay_s[1])
-        return roles._replace(joints=[joint])
-
     def driver(self, name, open_port, clock, baud):
         return ToyAngle(name, open_port, clock)

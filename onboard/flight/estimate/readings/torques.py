@@ -41,7 +41,7 @@ def torque_cell(
         text = f"the friction of {keys.joint} is not known at rest; give the rate below which its torque is left out"
         raise UrdfError(f"{text}, or say that there is no friction in it: torque_still_rad_s, torque_friction")
     bias, *friction = (stated[name] for name in names)
-    prior = CellPrior(bias, 0.0, keys.scale_sigma, keys.delay_sigma_ms * 1e-3)
+    prior = CellPrior(bias, 0.0, keys.scale_sigma, cell.delay_sigma_s)
     joint = [one.name for one in model.joints].index(keys.joint)
     own = Friction(joint, *(friction or (0.0, 0.0, 0.0)))
     return FurtherCell(cell.name, row.frame, row.projection, samples, prior, own)

@@ -172,7 +172,7 @@ class OfTorque(NamedTuple):
 
 
 IN_GRAVITY, FREE = OfTorque(1.0, 5.0, 1.0), OfTorque(0.1, 0.5, 0.1)  # arms of USUAL_N_m or some more
-USUAL_N_m = 10.0  # a stronger joint's gear loses more: a free arm's friction and offset are in proportion
+USUAL_N_m = 10.0  # a stronger joint has a larger motor and gear: what a free arm's adds is in proportion
 OF_LARGEST = OfTorque(0.02, 0.1, 0.03)  # over a joint's largest torque: gears of 100 and more lose as much
 
 

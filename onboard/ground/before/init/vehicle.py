@@ -295,8 +295,7 @@ def _torque_sigmas(wanted: NewVehicle, usual: devices.OfTorque) -> dict[str, flo
             each = devices.OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in devices.OF_LARGEST))
         elif usual is devices.FREE:
             more = max(1.0, _largest(wanted, number) / devices.USUAL_N_m)
-            friction, offset = (float(f"{more * part:.2g}") for part in (each.friction, each.offset))
-            each = each._replace(friction=friction, offset=offset)
+            each = devices.OfTorque(*(float(f"{more * part:.2g}") for part in usual))
         own |= {f"Ia_{joint}": each.rotor, f"Fv_{joint}": each.friction, f"Fc_{joint}": each.friction}
         own[bias] = each.offset
     return own

@@ -58,6 +58,12 @@ class NoiseAdded(NamedTuple):
             return self if self.information.size else other
         return NoiseAdded(self.gradient + other.gradient, self.information + other.information)
 
+    def but_for(self, part: slice) -> "NoiseAdded":
+        """What it has added to the others, where a part of the state is another one from now on."""
+        gradient, information = self.gradient.copy(), self.information.copy()
+        gradient[part], information[part], information[:, part] = 0.0, 0.0, 0.0
+        return NoiseAdded(gradient, information)
+
 
 class NoiseCorrection(NamedTuple):
     """Of k estimates."""

@@ -21,8 +21,8 @@ class Holding(BoundedWork):
     Attributes:
         state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
         covariance: (p, p).
-        noise_added: what noise of the joints' samples has added since the start or the last change: see
-            :mod:`~onboard.identification.free_flyer.prediction.noise_in_gradient`.
+        noise_added: what noise of the joints' samples has added since the start, to the payload since the last change:
+            see :mod:`~onboard.identification.free_flyer.prediction.noise_in_gradient`.
         held: a payload is held; None while that is not decided.
     """
 
@@ -59,7 +59,7 @@ class Holding(BoundedWork):
 
     def _noise_of(self, ticks: Ticks, noise: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
         """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
-        if self.held and self.state is not None and ticks.sample_sigma.any():
+        if self.state is not None and ticks.sample_sigma.any():
             turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
             added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise)
             self.noise_added = self.noise_added.plus(added)

@@ -198,8 +198,7 @@ class MotionFilter(Windowed):
 
     def _go_on_from(self, solved: Solved) -> None:
         self._start, self.state, self.covariance, self.ticks_used = solved[1:5]
-        same, before = solved.hypothesis is HeldPayload.SAME, self._noise_before
-        self.noise_added = solved.noise_added.plus(before) if same else solved.noise_added
+        self.noise_added = solved.noise_added
         self.lines.begin(solved.residual)
         self.rivals.steps.begin(solved.steps, solved.state)
 
@@ -244,7 +243,8 @@ class MotionFilter(Windowed):
             self._noise_of(ticks, of_samples, batch.sigma, there & seen)
         # symmetric, else what rounding leaves of P - P' grows until S is not positive definite
         self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
-        self.rivals.steps.step(innovation.first(used), predicted.transition, self.state)
+        # of an arm at rest, accelerations are noise of its encoders, and would show a lighter payload or a cell's zero
+        self.rivals.steps.step(innovation.first(0 if ticks.rest else used), predicted.transition, self.state)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

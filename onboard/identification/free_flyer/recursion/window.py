@@ -24,7 +24,7 @@ from onboard.estimation.policy import DOUBT, HALF, READING
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import correction_of
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
@@ -69,6 +69,7 @@ class WindowSolve:
         imu: the one of which guesses are made.
         steps: that may be inside.
         taken: steps that are, r of them.
+        noise: of the joints, what it has added to the prior.
     """
 
     def __init__(
@@ -82,8 +83,10 @@ class WindowSolve:
         imu: int = 0,
         steps: Inside = NO_STEPS,
         taken: StepsTaken = NONE_TAKEN,
+        noise: NoiseAdded | None = None,
     ) -> None:
         self._predictor, self.payload_sigma = predictor, payload_sigma
+        self._noise = NoiseAdded.none(len(predictor.names)) if noise is None else noise
         self._steps, self._taken = steps, taken
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self.prior, self._given = ticks, prior, start
@@ -334,7 +337,8 @@ class WindowSolve:
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
         steps = Changed(whole.stepped - F @ moves, uphill @ moves - along, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
-        noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start)
+        before = self._noise if self._hypothesis is HeldPayload.SAME else self._noise.but_for(PAYLOAD)
+        noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start).plus(before)
         there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
         evidence = evidence_of(whole, use.sum(axis=0), there, cost - squares, (stated, informed))
         corrected = end + correction_of(covariance, noise, self._predictor.stated).shift

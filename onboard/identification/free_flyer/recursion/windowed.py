@@ -101,7 +101,8 @@ class Windowed(Holding):
             prior = self.rivals.stated(prior) if trial.stated else self.rivals.with_free(prior, trial.free)
             start = trial.start
         parts = seen, prior, trial.hypotheses, start
-        return WindowSolve(self.predictor, self.payload_sigma, *parts, imu, steps, steps.taken(trial.stepped))
+        before = None if trial.anew else self._noise_before
+        return WindowSolve(self.predictor, self.payload_sigma, *parts, imu, steps, steps.taken(trial.stepped), before)
 
     def _open(
         self, hypotheses: tuple[HeldPayload, ...], prior: Known, begun: Ticks | None = None, *, carried: bool = False

@@ -217,13 +217,14 @@ def test_the_sigma_of_a_torque_is_by_the_largest_of_its_joint(tmp_path: Path) ->
     assert cli.main([*asked[:-1], str(silent)]) == cli.BAD_INPUT
 
 
-def test_friction_of_a_free_arm_s_drives_is_in_proportion_to_their_largest_torques(tmp_path: Path) -> None:
+def test_friction_and_rotors_of_a_free_arm_s_drives_are_in_proportion_to_their_largest_torques(tmp_path: Path) -> None:
     """A drive of 60 N m was stated to lose 0.5: a healthy rehearsal, which draws 1.2, was refused."""
     urdf = Path(__file__).parents[3] / "flight" / "own" / "bench_arm.urdf"  # 60, 60, 40, 15, 15 and 8 N m
     asked = ["init", str(tmp_path), "--base", "free", "--encoder", "cia402", "--urdf", str(urdf)]
     assert cli.main(asked) == cli.OK
     own = tomllib.loads((tmp_path / "vehicle.toml").read_text())["estimation"]["prior"]["absolute"]
-    for kind, sigmas in (("Fc_", [3.0, 3.0, 2.0, 0.75, 0.75, 0.5]), ("bias_", [0.6, 0.6, 0.4, 0.15, 0.15, 0.1])):
+    tenth = [0.6, 0.6, 0.4, 0.15, 0.15, 0.1]  # a rotor of 0.1 kg m^2 at every drive: 280 kg with its arm were refused
+    for kind, sigmas in (("Fc_", [3.0, 3.0, 2.0, 0.75, 0.75, 0.5]), ("bias_", tenth), ("Ia_", tenth)):
         assert [value for name, value in own.items() if name.startswith(kind)] == sigmas
 
 

@@ -239,3 +239,39 @@ def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
     np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))
     ekf.covariance = 3.0 * ekf.covariance  # a window's covariance is replaced beside the same state
     np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))
+
+
+def test_noise_of_an_empty_arm_is_taken_out_of_what_is_known_of_the_arm():
+    """It made links light before a capture, so that another link was likelier by 50 nats after it."""
+    rng = np.random.default_rng(8)
+    motion = free_flyer.JointMotion.draw(rng)
+    signals = recorded(free_flyer.fly(free_flyer.world(None), motion, rng.uniform(-0.01, 0.01, 3), 3.0), rng)
+    recursive = online(signals, held=False, imu_prior=PRIOR, links=["base", *(f"link_{k}" for k in range(1, 6))])
+    ticks = ticks_of(signals)
+    noisy = np.broadcast_to([[0.02], [0.5]], ticks.sample_sigma.shape)
+    ticks = ticks._replace(sample_sigma=noisy, joint_sigma=noisy)
+    added = []
+    for part in (slice(150), slice(150, None)):  # a window, steps
+        recursive.update(ticks.part(part))
+        added.append(recursive.noise_added.information.diagonal())
+    assert recursive.held is False
+    of_links = [k for k, name in enumerate(recursive.predictor.names) if name.startswith("link_")]
+    assert (added[0][of_links] > 0.0).any()
+    assert added[1][of_links].sum() > 1.5 * added[0][of_links].sum()
+
+
+def test_no_step_is_looked_for_while_the_arm_rests(monkeypatch):
+    rng = np.random.default_rng(4)
+    late = Late(free_flyer.JointMotion.draw(rng), 3.0)
+    signals = recorded(free_flyer.fly(free_flyer.world(None), late, rng.uniform(-0.01, 0.01, 3), 5.0), rng)
+    recursive, lines = online(signals, held=False), dict[float, int]()
+    step = recursive.rivals.steps.step
+
+    def noted(told, *rest):
+        lines[recursive._pending.time_s[-1]] = len(told[1])
+        step(told, *rest)
+
+    monkeypatch.setattr(recursive.rivals.steps, "step", noted)
+    recursive.update(ticks_of(signals))
+    assert {n for now, n in lines.items() if now < 2.9} == {0}
+    assert min(n for now, n in lines.items() if now > 3.5) > 0

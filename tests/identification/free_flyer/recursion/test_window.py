@@ -341,3 +341,27 @@ def test_where_nothing_is_held_no_payload_is_found(seed):
     found, explained = tried_after_nothing(light(1e-4, seed), 1.0)
     assert explained
     assert found.hypothesis is HeldPayload.NOTHING
+
+
+def test_noise_before_a_window_is_still_in_what_is_known_of_the_others_after_it(held):
+    """Of a payload of which nothing is known, nothing that it had added before a capture."""
+    predictor = online(held, imu_prior=PRIOR).predictor
+    ticks, p = ticks_of(held).part(slice(0, 102)), len(predictor.names)
+    prior = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    ones = NoiseAdded(np.ones(p), np.ones((p, p)))
+    added = {}
+    for hypothesis in (HeldPayload.NEW, HeldPayload.SAME):
+        for before in (None, ones):
+            known = (prior[0], np.eye(p)) if hypothesis is HeldPayload.SAME else prior
+            solve = WindowSolve(predictor, WIDE, ticks, known, (hypothesis,), None, noise=before)
+            while not solve.over:
+                solve.advance()
+            assert solve.found is not None
+            added[hypothesis, before is ones] = solve.found.noise_added
+    others = np.delete(np.ones(p), np.arange(p)[PAYLOAD], 0)
+    for hypothesis, of_payload in ((HeldPayload.NEW, 0.0), (HeldPayload.SAME, 1.0)):
+        more = added[hypothesis, True].gradient - added[hypothesis, False].gradient
+        np.testing.assert_allclose(np.delete(more, np.arange(p)[PAYLOAD]), others)
+        np.testing.assert_allclose(more[PAYLOAD], of_payload)
+        both = added[hypothesis, True].information
+        assert (both[PAYLOAD.start, -1], both[-1, -1]) == (of_payload, 1.0)
