@@ -33,6 +33,7 @@ ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed fo
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5
 _CHUNK_CELLS = 200_000
+_TINY = float(np.finfo(np.float64).tiny)
 _FORGOTTEN = 40.0  # delays of a filter after which a sample tells nothing of another
 
 
@@ -255,6 +256,25 @@ class SmoothingWindow:
         if not self.valid.all():
             values_at[:, ~self.valid] = np.nan
         return (values_at, gains[:most]) if leading else (values_at[list(orders)], gains[list(orders)])
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """By what the sample nearest to each tick is off the smoothed curve, (n, c), as large as the samples' noise.
+
+        Args:
+            values: of the samples, (k, c).
+        """
+        ticks = np.flatnonzero(self.valid)
+        out = np.full((len(self.valid), values.shape[1]), np.nan)
+        if ticks.size:
+            near = np.where(self._cell[ticks] > 0.0, np.abs(self._u[ticks]), np.inf).argmin(axis=1)
+            after_s = self._u[ticks, near] * self.width_s
+            powers = np.stack([np.ones(ticks.size), after_s, 0.5 * after_s**2], axis=1)
+            weights = -np.einsum("no,nol->nl", powers, self._weights[0][ticks])
+            weights[np.arange(ticks.size), near] += 1.0
+            under = np.minimum(self._low[ticks, None] + np.arange(self._length), self.samples - 1)
+            off = np.einsum("nl,nlc->nc", weights, values[under])
+            out[ticks] = off / np.sqrt(np.maximum((weights**2).sum(axis=1), _TINY))[:, None]
+        return out
 
 
 def smooth(times_s: ArrayLike, values: ArrayLike, at_s: ArrayLike, width_s: float, derivative: int = 0) -> Smoothed:

@@ -238,3 +238,16 @@ def test_no_filter_makes_no_samples_alike():
         filtered_inflation(0.001, 0.0)
     with pytest.raises(RowError):
         filtered_inflation(-0.001, 0.002)
+
+
+@pytest.mark.parametrize("width_s", [0.03, 0.1, 0.6])
+def test_samples_scatter_about_the_smoothed_curve_by_their_noise_whatever_the_width(rng, width_s):
+    times = uneven(rng, duration=30.0)
+    noise = np.array([1e-3, 0.0])
+    values = np.sin(2.0 * np.pi * 0.2 * times)[:, None] + noise * rng.standard_normal((len(times), 2))
+    window = SmoothingWindow(times, np.arange(-0.5, 30.0, 0.02), width_s, max_gap_s=0.05)
+    off = window.residuals(values)
+    assert (np.isfinite(off).all(axis=1) == window.valid).all()
+    scatter = off[window.valid].std(axis=0)
+    assert scatter[0] == pytest.approx(1e-3, rel=0.06)
+    assert scatter[1] < 1e-4

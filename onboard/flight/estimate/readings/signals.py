@@ -21,6 +21,7 @@ from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cy
 from onboard.flight.estimate.readings.history import History, RecentSamples, SampleTimes
 from onboard.flight.estimate.readings.jumps import JumpWatch, jumped_text
 from onboard.flight.estimate.readings.roles import roles_of
+from onboard.flight.estimate.readings.scatter import SampleScatter
 from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
 from onboard.flight.estimate.readings.tick_means import tick_means
 from onboard.regressor.signals import EncoderJump
@@ -74,6 +75,7 @@ class SignalSmoother:
         self._told: set[tuple[str, str]] = set()
         self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
         moving = {name: signal for name, signal in self._signals.items() if signal.travels}
+        self._scatter = SampleScatter(moving)
         self._jumps = {name: JumpWatch(signal, follows=follows_jumps) for name, signal in moving.items()}
         self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
@@ -260,6 +262,8 @@ class SignalSmoother:
             )
             smoothed, gain = window.stacked(values[:, where], range(derivatives + 1))
             out[..., where], sigma[..., where] = smoothed, gain[..., None] * noise[where]
+            if derivatives == 2 and len(delays) == 1 and len(noise) == len(group):
+                self._scatter.take([*group], window, values, noise)
             if not window.valid.all():
                 gaps |= reasons(~window.valid, GateReason.GAP)
         of_samples = sigma * sigma
@@ -272,6 +276,8 @@ class SignalSmoother:
         if derivatives:
             self._ripple(group, out[1], sigma)
         of_samples /= np.maximum(sigma * sigma, _TINY)
+        if len(noise) == len(group):
+            of_samples *= self._scatter.share([*group])
         found, column, cyclic = {}, 0, self._cyclic(group, values, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])

@@ -60,13 +60,17 @@ class Solved(NamedTuple):
         sigma = float(np.sqrt(self.covariance[PAYLOAD.start, PAYLOAD.start]))
         return bool(self.state[PAYLOAD.start] > -sigmas(LEAST_WEIGHT) * sigma)
 
-    def contradicts(self, nothing: "Solved") -> bool:
-        """Whether its payload lowers the cost by more than ten free numbers do by chance where nothing is held.
+    def contradicts(self, other: "Solved") -> bool:
+        """Whether it explains the window better than another hypothesis does.
 
-        A light payload adds little to the squares of a thousand readings, too little for a test of the residuals alone.
-        Its mass may come out negative where the window tells little of it; a longer window follows then.
+        Nothing held may be right where a payload lowers the cost by no more than ten free numbers do by chance. A light
+        payload adds little to the squares of a thousand readings, too little for a test of the residuals alone. Its
+        mass may come out negative where the window tells little of it; a longer window follows then. That nothing is
+        held has no more free numbers than that a known payload is: the likelier one counts.
         """
-        chance = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(nothing.cost - self.cost, 0.0)))
+        if other.hypothesis is not HeldPayload.NOTHING:
+            return self.evidence > other.evidence
+        chance = float(chdtrc(PAYLOAD.stop - PAYLOAD.start, max(other.cost - self.cost, 0.0)))
         return chance < EXPLAINED
 
     def growth(self, length: float, unknown_kg: float) -> tuple[bool, float]:

@@ -49,7 +49,8 @@ class _Stage(Enum):
 class WindowSolve:
     """The solution of a window of ticks with all joints known, under the first hypothesis that explains it.
 
-    Nothing held is kept only if the next one explains the window no better than chance (:meth:`Solved.contradicts`).
+    Nothing held, or the payload of before where nothing may be held, is kept only if the next one does not explain the
+    window better (:meth:`Solved.contradicts`).
 
     Attributes:
         over: there is nothing more to do.
@@ -97,7 +98,7 @@ class WindowSolve:
         self.left: FloatArray | None = None
         self._least = np.inf  # squares of the residuals of all instruments, of that fit
         self._left = list(hypotheses)
-        self._nothing: Solved | None = None  # with nothing held, where that explains the window
+        self._kept: Solved | None = None  # under the hypothesis before this one, where that explains the window
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
@@ -166,7 +167,7 @@ class WindowSolve:
         """Go on to the next hypothesis, or end."""
         use = np.isfinite(self._ticks.measured[1:-1])  # (n, m)
         if not self._left or use[:FIRST_TICKS, self._own.start].sum() < FIRST_TICKS // 2:
-            self.found, self.over, self._descent = self._nothing, True, None
+            self.found, self.over, self._descent = self._kept, True, None
             return
         # whether the iteration moved what the ticks do not tell is yet to be checked
         self._hypothesis, self._use, self._glitches, self._checked = self._left.pop(0), use, 0, False
@@ -308,17 +309,17 @@ class WindowSolve:
         return True
 
     def _solved(self, fitted: Fit, whole: Pieces) -> None:
-        """End with this result if it explains the window; nothing held is first compared with the next hypothesis."""
-        solved = self._solution(fitted, whole)
+        """End with this result if it explains the window; where nothing may be held, the next is tried beside it."""
+        solved, kept = self._solution(fitted, whole), self._kept
         if not self._explains(fitted.residual_sum):
             self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
             self._begin()
-        elif self._hypothesis is HeldPayload.NOTHING and self._left:
-            self._nothing, self._left = solved, self._left[:1]
+        elif kept is None and self._left and HeldPayload.NOTHING in (self._hypothesis, self._left[0]):
+            self._kept, self._left = solved, self._left[:1]
             self._begin()
         else:
-            nothing = self._nothing is not None and not solved.contradicts(self._nothing)
-            self.found, self.over, self._descent = self._nothing if nothing else solved, True, None
+            stays = kept is not None and not solved.contradicts(kept)
+            self.found, self.over, self._descent = kept if stays else solved, True, None
 
     def _solution(self, fitted: Fit, whole: Pieces) -> Solved:
         (start, _), F, use = self._parted(self._problem.state(fitted.x)), whole.transition, self._use

@@ -365,3 +365,31 @@ def test_noise_before_a_window_is_still_in_what_is_known_of_the_others_after_it(
         np.testing.assert_allclose(more[PAYLOAD], of_payload)
         both = added[hypothesis, True].information
         assert (both[PAYLOAD.start, -1], both[-1, -1]) == (of_payload, 1.0)
+
+
+@pytest.mark.parametrize(("more", "expected"), [(-1e6, HeldPayload.SAME), (0.0, HeldPayload.NOTHING)])
+def test_whether_a_known_payload_was_held_before_is_decided_by_which_is_likelier(monkeypatch, more, expected):
+    """A light one explains the motion of an empty arm, too: a payload that was caught later was taken as held."""
+    rng = np.random.default_rng(5)
+    motion = free_flyer.JointMotion.draw(rng)
+    empty = recorded(free_flyer.fly(free_flyer.world(None), motion, rng.uniform(-0.01, 0.01, 3), 4.2), rng)
+    predictor = online(empty, imu_prior=PRIOR).predictor
+    p = len(predictor.names)
+    mean, known = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    mean[PAYLOAD] = 0.2, 0.0, 0.0, 0.02, 4e-3, 0.0, 4e-3, 0.0, 0.0, 1e-3
+    mean *= 0.02
+    known[PAYLOAD, PAYLOAD] = np.diag((0.05 * mean[PAYLOAD]) ** 2 + 1e-10)
+    solution = WindowSolve._solution
+
+    def made(self, *of):
+        one = solution(self, *of)
+        return one._replace(evidence=one.evidence + more * (one.hypothesis is HeldPayload.NOTHING))
+
+    monkeypatch.setattr(WindowSolve, "_solution", made)
+    hypotheses = (HeldPayload.SAME, HeldPayload.NOTHING)
+    for some in (*((one,) for one in hypotheses), hypotheses):
+        solve = WindowSolve(predictor, WIDE, ticks_of(empty), (mean, known), some, None)
+        while not solve.over:
+            solve.advance()
+        assert solve.found is not None  # each explains it
+    assert solve.found.hypothesis is expected
