@@ -137,9 +137,8 @@ def _fly(arguments: argparse.Namespace, content: "Content", store: "Store") -> i
         def count(item: "Item", done: "Returned") -> None:
             nonlocal wrong
             wrong += done.result is not None and done.result.nonsense
-            bar.update(
-                task, advance=1, description=f"{content.name}: {wrong} confidently wrong" if wrong else content.name
-            )
+            seen = f"{content.name}: {wrong} beyond 99.9 % at some time" if wrong else content.name
+            bar.update(task, advance=1, description=seen)
 
         links = list[str]()
 
