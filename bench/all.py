@@ -148,6 +148,16 @@ def _lines(path: str) -> list[str]:
         return []
 
 
+def head_of(name: str) -> str:
+    """Title and first sentence of a page of evidence, as the table of these pages has them; of another its name."""
+    listed = (ROOT / "docs" / "evidence" / "index.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| \[(.+?)\]\({name}\.md\) \| (.+?) \|", listed, re.MULTILINE)
+    if row is None:
+        return f"# {name.replace('_', ' ').capitalize()}"
+    title, shows = (text[0].upper() + text[1:] for text in row.groups())
+    return f"# {title}\n\n{shows}."
+
+
 def page(done: BenchResult, about: str, printed: str, path: Path) -> None:
     """Write a page of evidence: command, revision, machine, and what the bench printed, without lines of progress."""
     revision = subprocess.run(
@@ -158,7 +168,7 @@ def page(done: BenchResult, about: str, printed: str, path: Path) -> None:
     printed = "\n".join(kept).strip("\n").replace(str(DATASETS), "$HEFT_DATASETS")
     printed = re.sub(rf"{re.escape(tempfile.gettempdir())}/\S+/", "", printed)  # of logs that are gone
     shown = printed if printed.startswith("|") else f"```text\n{printed}\n```"  # a table, or as on a terminal
-    text = f"""# {done.name.replace("_", " ").capitalize()}
+    text = f"""{head_of(done.name)}
 
 Made by `python -m bench.all --only {done.name} --pages docs/evidence`, which ran `{command}`: {about}, code
 {revision.stdout.strip()}, {done.cpu_s:.0f} s of CPU time, {done.said}.

@@ -46,6 +46,7 @@ def test_a_page_says_how_it_was_made_and_names_no_directory_of_this_machine(tmp_
     assert "`python -m bench.arms $HEFT_DATASETS/arm`: a machine, code" in " ".join(text.split())
     assert "7 s of CPU time, ok." in text
     assert str(benches.DATASETS) not in text
+    assert benches.head_of("rocksat").startswith("# RockSat-X\n\nThe dissertation's flight, built off its drawing")
 
 
 def test_one_without_its_recordings_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
