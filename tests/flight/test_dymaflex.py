@@ -77,7 +77,7 @@ def test_how_the_payload_came_is_told_or_how_badly_it_is_known(flown: Result) ->
     rows = flown.table["motions"]
     assert tuple(row["quantity"] for row in rows) == NAMES
     for row in rows:
-        assert row["covered"] if row["supported"] else "tell no more" in row["standing"]
+        assert row["covered"] if row["supported"] else "determine no more" in row["standing"]
     assert not all(row["supported"] for row in rows)  # 5 kg bring little
     before = next(batch for _, batch in flown.log.batches(["quantity"]))
     assert not {name.encode() for name in NAMES} & set(before["name"].tolist())

@@ -121,7 +121,7 @@ class CapturedBody:
                     _untold(
                         name,
                         unit,
-                        f"known to {sigma:.2g} {unit} only: its momentum and the time of the touch tell no more",
+                        f"known to {sigma:.2g} {unit} only: momentum and time of the contact determine no more",
                     )
                 )
         return tuple(found)

@@ -59,7 +59,7 @@ def test_of_a_small_one_no_number_is_told_but_why():
     for one in found[-1][3:]:
         assert not one.supported
         assert np.isnan(one.mean)
-        assert one.note.endswith("rad/s only: its momentum and the time of the touch tell no more")
+        assert one.note.endswith("rad/s only: momentum and time of the contact determine no more")
 
 
 def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
