@@ -204,15 +204,13 @@ def sweeps(flight: FlightData) -> Figure | None:
     rows = -(-len(shown) // 2)
     figure, every = subplots(rows, 2)
     for axes, sweep in zip(every, shown, strict=False):
-        _sweep(axes, flight, sweep, channels, first=axes is every[0])
+        _sweep(axes, flight, sweep, channels)
     for axes in every[len(shown) :]:
         axes.set_visible(False)
     return figure
 
 
-def _sweep(
-    axes: Axes, flight: FlightData, sweep: SweepData, channels: Iterable[tuple[str, str, str, float]], *, first: bool
-) -> None:
+def _sweep(axes: Axes, flight: FlightData, sweep: SweepData, channels: Iterable[tuple[str, str, str, float]]) -> None:
     axes.set_title(sweep.phase.name)
     other: Axes | None = None
     for number, (channel, _, unit, factor) in enumerate(channels):
@@ -226,9 +224,6 @@ def _sweep(
         draw(target, sweep.traces[channel], 0, channel, colour, factor)
     start_s, end_s = flight.seconds(np.array([sweep.phase.start_ns, sweep.phase.end_ns]))
     axes.set_xlim(start_s, end_s)
-    if first:
-        lines = [line for one in (axes, other) if one is not None for line in one.get_lines()]
-        legend(axes, lines, [str(line.get_label()) for line in lines])
 
 
 def second_axis(axes: Axes, label: str) -> Axes:

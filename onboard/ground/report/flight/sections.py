@@ -51,7 +51,7 @@ def _sections(flight: FlightData, draw: Gallery) -> Iterator[tuple[str, str]]:
             "more than the sweeps do is scaled to the sweeps. Times are of arrival, which is some "
             "milliseconds after the sample. Red crosses: samples marked unusable by their device or a range limit.",
         )
-        + draw(figures.sweeps(flight), "The same, sweep by sweep."),
+        + draw(figures.sweeps(flight), "The same in the same colours, sweep by sweep."),
     )
     yield "Accelerations and rates", _imus(flight, draw)
     yield "Spectra", instruments.spectra_section(flight, draw)
