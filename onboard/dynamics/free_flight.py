@@ -301,9 +301,3 @@ def sensor_in_base(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray)
     R, p, out = library.given(R_BS, 3, 3), library.given(p_BoSo_B, 3), np.empty(78 * n)
     library.call("heft_sensor", ctypes.byref(compiled), library.address(R), library.address(p), out=out)
     return SensorPrediction(*library.carved(out, [(n, 6), (n, 6, 9), (n, 6, 3)]))
-
-
-def at_sensor(base: BasePrediction, R_BS: FloatArray, p_BoSo_B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Values, (n, 6), and derivatives, (n, 6, 3 + c), of :func:`sensor_in_base`."""
-    found = sensor_in_base(base, R_BS, p_BoSo_B)
-    return found.values, np.asarray(found.gain @ base.along, np.float64)

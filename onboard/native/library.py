@@ -39,6 +39,7 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_sensor": (*[_ARRAY] * 3,),
     "heft_imu_reading": (_INT, *[_ARRAY] * 4),
     "heft_imu_gain": (_ARRAY,),
+    "heft_whitened": (_ARRAY, _FLOAT),
     "heft_predict": (*[_ARRAY] * 3, _INT, _FLOAT, *[_ARRAY] * 2),
     "heft_shown": (*[_ARRAY] * 5, _FLOAT, *[_ARRAY] * 2),
     "heft_linked": (_ARRAY, _INT, _INT, _ARRAY),

@@ -89,6 +89,13 @@ class Read(_Structure):
     _fields_ = _fields("n joints functions taken", "q dq ddq cyclic of errors multiples")
 
 
+class ReadTicks(_Structure):
+    """``heft_read_ticks``."""
+
+    NUMBERS = 4
+    _fields_ = _fields("ticks total count used", "gains gain along values d_errors measured sigma places use")
+
+
 class SamplesStruct(_Structure):
     """``heft_samples``."""
 

@@ -25,14 +25,22 @@ from onboard.dynamics.spatial import Columns
 from onboard.estimation.errors import RowError
 from onboard.estimation.smoothing import SmoothingWindow
 from onboard.identification.evidence.bank import Bank, Changed
-from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, ImuReading, gain_of, imu_reading, whitened
 from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.native import library
 from onboard.native.errors import ArrayError
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, joint_torque_row
 from onboard.timebase import polygon
-from tests.native.vehicles import PERIOD_s, on_table, predicted_from, random_case, random_predictor, random_suspects
+from tests.native.vehicles import (
+    PERIOD_s,
+    lines_of_imu,
+    on_table,
+    predicted_from,
+    random_case,
+    random_predictor,
+    random_suspects,
+)
 
 PREDICTORS = [random_predictor(seed) for seed in (1, 2, 3, 5)]
 REFUSALS = ArrayError, RowError, SignalError, ValueError, IndexError, MemoryError
@@ -82,6 +90,7 @@ def outcomes(seed):
     return [
         *parts,
         gain_of(errors),
+        *whitened(*lines_of_imu(seed, slice(seed % 3, None, 1 + seed % 2))),
         *cut,
         *slid,
         bodies.parts,
@@ -165,6 +174,10 @@ def fuzz_once(seed):
     attempt(imu_reading, lines[..., :1], lines[..., :1], np.ones(3), own)
     attempt(imu_reading, *(spoiled(np.ones((5, 6))) for _ in range(2)), spoiled(np.ones(5)), own)
     attempt(gain_of, own)
+    shown, _, of_motion, samples, told, (places, use) = lines_of_imu(seed, slice(0, None, int(rng.integers(1, 4))))
+    which = places + rng.integers(-1, 2), use[: rng.integers(0, len(use) + 1)] if rng.random() < 0.3 else use
+    shown, of_motion, told = ImuReading(*map(spoiled, shown)), tuple(map(spoiled, of_motion)), tuple(map(spoiled, told))
+    attempt(whitened, shown, own, of_motion, samples, told, which)
     times = spoiled(np.cumsum(rng.uniform(0.5, 1.5, 60)))
     attempt(lambda: SmoothingWindow(times, spoiled(np.linspace(0.0, 60.0, 9)), 20.0).apply(spoiled(times), 2))
     source = other if rng.random() < 0.3 else case

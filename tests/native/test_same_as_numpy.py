@@ -14,10 +14,11 @@ from onboard.dynamics.spatial import Columns
 from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
 from onboard.identification.free_flyer.prediction.further import PlacedImu, cuts_of
-from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading, whitened
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.native import build, library
+from onboard.native.errors import ArrayError
 from tests.native.oracle import base as oracle
 from tests.native.oracle import errors as of_errors
 from tests.native.oracle import evidence as of_evidence
@@ -28,7 +29,15 @@ from tests.native.oracle import smoothing as of_smoothing
 from tests.native.oracle import table as of_table
 from tests.native.oracle.bodies import Bodies as OracleBodies
 from tests.native.oracle.chain import chain_motion as oracle_chain
-from tests.native.vehicles import PERIOD_s, on_table, predicted_from, random_case, random_predictor, random_suspects
+from tests.native.vehicles import (
+    PERIOD_s,
+    lines_of_imu,
+    on_table,
+    predicted_from,
+    random_case,
+    random_predictor,
+    random_suspects,
+)
 
 CASES = range(24)
 TOLERANCE = 1e-13  # of the largest of an array
@@ -182,6 +191,25 @@ def test_a_covariance_some_ticks_later(seed):
     expected = predicted.state + state - start
     expected[c] = predicted.state[c] + predicted.transition @ (state - start)
     same(found, expected * left, 1e-12)
+
+
+@pytest.mark.parametrize("seed", CASES)
+def test_whitened_lines_of_an_imu(seed):
+    for use in (slice(None), slice(1, None, 3), slice(-1, None), slice(0, 0)):  # with gaps, the last one alone
+        given = lines_of_imu(seed, use)
+        found, true = whitened(*given), of_imu.whitened(*given)
+        same(found[0], true[0])
+        same(found[1], true[1])
+        assert found[1].any() == (use != slice(0, 0))
+
+
+@pytest.mark.parametrize("wrong", [{"places": [-1]}, {"places": [1000]}, {"ticks": 4}, {"columns": 3}])
+def test_whitened_lines_of_other_shapes_are_refused(wrong):
+    shown, errors, (gain, along), samples, told, (places, use) = lines_of_imu(1)
+    places = np.array(wrong.get("places", places))
+    gain, along = gain[: wrong.get("ticks")], along[..., : wrong.get("columns")]
+    with pytest.raises(ArrayError):
+        whitened(shown, errors, (gain, along), samples, told, (places, use))
 
 
 def test_a_motion_of_too_few_ticks_is_refused():

@@ -23,6 +23,7 @@ from onboard.identification.free_flyer.prediction.further import (
     FurtherImu,
     Thruster,
 )
+from onboard.identification.free_flyer.prediction.imu_errors import SIZE, ImuReading
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
@@ -132,3 +133,15 @@ def random_suspects(seed: int) -> tuple[list[Suspect], np.ndarray, tuple[np.ndar
     H = rng.normal(size=(10, size))
     covariance = np.linalg.inv(np.diag(sigma**-2) + H.T @ H)
     return suspects, sigma, (covariance @ (H.T @ rng.normal(size=10)), covariance)
+
+
+def lines_of_imu(seed, use=slice(None)):
+    """What an IMU shows at the middles of some ticks, and what it has measured in some of them."""
+    rng = np.random.default_rng(seed)
+    n, total = int(rng.integers(5, 40)), int(rng.integers(4, 30))
+    gain, ticks = rng.normal(size=(n, 6, 9)), np.zeros(n, np.bool_)
+    gain[:, :3, 3:], ticks[use] = 0.0, True  # a rate depends on the base's rate alone
+    shown = ImuReading(rng.normal(size=(n, 6)), rng.normal(size=(n, 6, SIZE)))
+    places = np.sort(rng.permutation(total + SIZE)[: int(rng.integers(1, total + SIZE))])
+    told = rng.normal(size=(n, 6)), rng.uniform(0.5, 2.0, (n, 6))
+    return shown, 0.2 * rng.normal(size=SIZE), (gain, rng.normal(size=(n, 9, total))), 7, told, (places, ticks)

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from onboard.dynamics.free_flight import BasePrediction, at_sensor
+from onboard.dynamics.free_flight import BasePrediction, sensor_in_base
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate, standard_of
@@ -35,7 +35,6 @@ from onboard.identification.free_flyer.prediction.imu_errors import (
     CERTAIN,
     ImuPrior,
     ImuReading,
-    gain_of,
     imu_blocks,
     imu_reading,
     tick_mean,
@@ -231,11 +230,9 @@ class MotionFit:
         """
         n, samples = len(self.valid) if ticks is None else ticks, self._base.signals.samples
         x = self.layout.whole(parameters)
-        shown, d_true = self._shown(x, n, self._links.indices)
-        d_motion = gain_of(x[self._errors]) @ d_true
-        jacobian = np.concatenate([d_motion, shown.d_errors], axis=2)[:, :, self.layout.kept]
-        values, jacobian = tick_mean(shown.values, samples), tick_mean(jacobian, samples)
-        return whitened(values, jacobian, self._measured[:n], self._sigma[:n], self.valid[:n])
+        shown, motion = self._shown(x, n, self._links.indices)
+        told, which = (self._measured[:n], self._sigma[:n]), (self.layout.kept, self.valid[:n])
+        return whitened(shown, x[self._errors], motion, samples, told, which)
 
     def left(self, parameters: FloatArray) -> FloatArray:
         """The residuals alone, (6 v,)."""
@@ -243,14 +240,15 @@ class MotionFit:
         values = tick_mean(shown.values, self._base.signals.samples)
         return np.asarray(((values - self._measured) / self._sigma)[self.valid].ravel(), np.float64)
 
-    def _shown(self, x: FloatArray, n: int, links: tuple[int, ...]) -> tuple[ImuReading, FloatArray]:
-        """Of the first n ticks with all unknowns as in ``x``; and the derivative of the motion, (n, 6, c)."""
+    def _shown(self, x: FloatArray, n: int, links: tuple[int, ...]) -> tuple[ImuReading, tuple[FloatArray, FloatArray]]:
+        """Of the first n ticks with all unknowns as in ``x``; derivatives by the motion, (n, 6, 9), and of that."""
         layout, period_s = self.layout, self._base.signals.period_s
         others = {name: x[layout[name]] for name in self._base.others}
         base = self._base.predict(x[layout["start"]], self._chi(x), others, links, n)
-        true, d_true = at_sensor(base, self._R_BS, self._p_BoSo_B)
+        sensor = sensor_in_base(base, self._R_BS, self._p_BoSo_B)
         time_s = np.asarray(period_s * (np.arange(n) - 0.5 * (len(self.valid) - 1)), np.float64)
-        return imu_reading(true, np.gradient(true, period_s, axis=0), time_s, x[self._errors]), d_true
+        change = np.gradient(sensor.values, period_s, axis=0)
+        return imu_reading(sensor.values, change, time_s, x[self._errors]), (sensor.gain, base.along)
 
     def residuals_by_tick(self, parameters: FloatArray) -> FloatArray:
         """As :meth:`residuals`, (n, 6), NaN at ticks without an IMU."""

@@ -65,6 +65,15 @@ static void integrate(const heft_table *t, double *states, double *rates) {
     }
 }
 
+/* to (columns,) += a (6,) b (6, columns), which is not to: six products at once to each element */
+static void add_products(const double *restrict a, const double *restrict b, double *restrict to, i64 columns) {
+    for (i64 j = 0; j < columns; j++) {
+        double sum = to[j];
+        for (i64 k = 0; k < 6; k++) sum += a[k] * b[columns * k + j];
+        to[j] = sum;
+    }
+}
+
 /* Slope of the state's rate by the state F (4, 4), and derivatives of a by the parameters D (3, width), at one point */
 static void derive(const heft_table *t, i64 at, const double *x, double a[AXES], double F[16], double *D, i64 width) {
     const double *inverse = t->inverse + 9 * at, *known = t->known + 9 * at, *over = t->over + SAGS * at;
@@ -74,10 +83,13 @@ static void derive(const heft_table *t, i64 at, const double *x, double a[AXES],
     accelerate(t, at, x, a);
     memcpy(basis, a, AXES * sizeof *a);
     memset(D, 0, (size_t)(AXES * width) * sizeof *D);
-    for (i64 i = 0; i < AXES; i++)
-        for (i64 j = 0; j < 18; j++)
-            add_times(by_columns + i * width, -inverse[3 * i + j / 6] * basis[j % 6], t->columns + (18 * at + j) * t->free,
-                      t->free);
+    for (i64 i = 0; i < AXES; i++) {
+        for (i64 j = 0; j < AXES; j++) {
+            double by_wrench[6];
+            for (i64 k = 0; k < 6; k++) by_wrench[k] = -inverse[3 * i + j] * basis[k];
+            add_products(by_wrench, t->columns + 6 * (3 * at + j) * t->free, by_columns + i * width, t->free);
+        }
+    }
     for (i64 one = 0; one < t->pucks; one++) {
         const double *puck = t->puck + 4 * one;
         double px = puck[0], py = puck[1], u[2] = {x[0] - w * py, x[1] + w * px};

@@ -69,6 +69,14 @@ def imu_reading(true, change, time_s, errors):
     return own @ E.T + bias + t * drift, d_errors
 
 
+def whitened(shown, errors, motion, samples, told, which):
+    """Predicted less measured over sigma, (6 u,), and its derivative, (6 u, p), as of the product's."""
+    (gain, along), (measured, sigma), (places, use) = motion, told, which
+    jacobian = np.concatenate([gain_of(errors) @ (gain @ along), shown.d_errors], axis=2)[:, :, places]
+    residual = ((tick_mean(shown.values, samples) - measured) / sigma)[use].ravel()
+    return residual, (tick_mean(jacobian, samples) / sigma[..., None])[use].reshape(residual.size, len(places))
+
+
 def _turned(m):
     """``R = exp(-hat(m))`` and ``J``, (3, 3) each, of which ``d(R u) = hat(R u) J dm`` (the left Jacobian at -m).
 

@@ -18,6 +18,7 @@ the whole sensor has, which is ``exp(-hat)``) and ``sym(c)`` the symmetric one, 
 ``hat(c)``. Computed in ``onboard/native/src/imu.c``.
 """
 
+import ctypes
 import math
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.free_flyer.prediction.parameters import Unknowns
-from onboard.native import library
+from onboard.native import library, structures
 
 
 class ImuPrior(NamedTuple):
@@ -139,16 +140,35 @@ def tick_mean(x: FloatArray, samples: int) -> FloatArray:
 
 
 def whitened(
-    values: FloatArray, jacobian: FloatArray, measured: FloatArray, sigma: FloatArray, use: BoolArray
+    shown: ImuReading,
+    errors: FloatArray,
+    motion: tuple[FloatArray, FloatArray],
+    samples: int,
+    told: tuple[FloatArray, FloatArray],
+    which: tuple[IndexArray, BoolArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """``r = (predicted - measured) / sigma``, (u,), and its derivative, (u, p), of the u lines to use.
+    """``r = (predicted - measured) / sigma``, (6 u,), and its derivative, (6 u, p): means over u ticks to use.
+
+    Computed in ``onboard/native/src/whitened.c``.
 
     Args:
-        values: predicted, (n, m).
-        jacobian: of these, (n, m, p).
-        measured: (n, m).
-        sigma: of the measured, (n, m) or (m,).
-        use: which ticks, (n,), or which lines of each, (n, m).
+        shown: what the IMU shows at the middles of n ticks.
+        errors: with which, (SIZE,).
+        motion: derivatives of true rate and specific force by the base's motion, (n, 6, 9), and of that, (n, 9, c).
+        samples: of each tick, as of :func:`tick_mean`.
+        told: measured, and sigma of that, (n, 6) each.
+        which: of the c + SIZE unknowns, (p,), and which ticks, (n,).
+
+    Raises:
+        ArrayError: shapes that do not fit.
     """
-    residual = ((values - measured) / sigma)[use].ravel()
-    return residual, (jacobian / sigma[..., None])[use].reshape(residual.size, -1)
+    E, (gain, along), (places, use) = gain_of(errors), motion, which
+    n, total = len(shown.values), along.shape[-1]
+    ticks = library.indices(use.nonzero()[0], n)
+    arrays = (np.stack([E[:3, :3], E[3:, 3:]]), gain, along, *shown, *told)
+    shapes = (2, 3, 3), (n, 6, 9), (n, 9, total), (n, 6), (n, 6, SIZE), (n, 6), (n, 6)
+    given = [library.given(part, *shape) for part, shape in zip(arrays, shapes, strict=True)]
+    u, p = 6 * len(ticks), len(places)
+    read = structures.ReadTicks(n, total, p, len(ticks), *given, library.indices(places, total + SIZE), ticks)
+    out = library.call("heft_whitened", ctypes.byref(read), float(weight_of(samples)), out=np.empty(u * (1 + p)))
+    return out[:u], out[u:].reshape(u, p)
