@@ -10,7 +10,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain, repeat
-from typing import Final, NamedTuple, Protocol, cast, runtime_checkable
+from typing import Final, NamedTuple, Protocol, TypeGuard, cast, runtime_checkable
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
 SYNC = 0x080
 _MOST_SYNCS = 256  # computed at once
 _FEWEST_SYNCS = 8  # for fewer it does not pay
+_ANSWERING: Final[dict[type, bool]] = {}  # whether nodes of a class know what they answer
 
 
 @runtime_checkable
@@ -68,6 +69,14 @@ _frame_of: Final = cast(Callable[[tuple[int, int, bytes]], WireFrame], partial(t
 def wire_frames(ends_ns: Iterable[int], identifiers: Iterable[int], data: Iterable[bytes]) -> list[WireFrame]:
     """Frames of columns that may be longer than the shortest; half the time that their own class takes."""
     return list(map(_frame_of, zip(ends_ns, identifiers, data, strict=False)))
+
+
+def _answers_ahead(node: object) -> TypeGuard[AnswersAhead]:
+    """Whether a node is one, found once of each class: Python 3.11 takes longer for that than the wire for a SYNC."""
+    kind = type(node)
+    if kind not in _ANSWERING:
+        _ANSWERING[kind] = isinstance(node, AnswersAhead)
+    return _ANSWERING[kind]
 
 
 class Train(NamedTuple):
@@ -166,7 +175,7 @@ class SyncTrains:
         for place, node in enumerate(nodes):
             if node is box:
                 continue
-            if not isinstance(node, AnswersAhead) or (answers := node.answers()) is None:
+            if not _answers_ahead(node) or (answers := node.answers()) is None:
                 return
             self._nodes.append(node)
             senders += [(tpdo, place) for tpdo in answers]
