@@ -56,8 +56,9 @@ class HeldAgainst:
         steady = known.copy()
         steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
         at = steady.nonzero()[0]
-        sigma, P = stated[at], covariance[np.ix_(at, at)]
-        in_all = together(state[at] / sigma, P / (sigma[:, None] * sigma))
+        sigma, P = stated[at], covariance.take(at, 0).take(at, 1)
+        P /= sigma[:, None] * sigma
+        in_all = together(state[at] / sigma, P)
         known[self._weighed] = steady[self._weighed] = False
         every, each = known.nonzero()[0], steady.nonzero()[0]
         in_told = state[each] / expected_sigma(stated[each] ** 2, covariance[each, each])

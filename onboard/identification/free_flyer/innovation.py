@@ -67,7 +67,8 @@ class Innovation(NamedTuple):
     def corrected(self, lines: int, state: FloatArray, covariance: FloatArray) -> Known:
         """State, (p,), and covariance, (p, p), with so many lines taken in."""
         W, e, _ = self.first(lines)
-        return state + W.T @ e, covariance - W.T @ W
+        less = W.T @ W
+        return state + W.T @ e, np.subtract(covariance, less, out=less)
 
     @property
     def of_reference(self) -> FloatArray:
@@ -118,13 +119,11 @@ class Innovations:
         if not batch.predicted.moderate:
             raise SingularError("the joints' signals are nonsense; no motion follows")
         rows, p = self._fusion.rows(order, len(there)), len(covariance)
-        r, H = (
-            (batch.measured - batch.predicted.values) / batch.sigma,
-            batch.predicted.jacobian / batch.sigma[..., None],
-        )
+        r = (batch.measured - batch.predicted.values) / batch.sigma
+        H = batch.predicted.jacobian.reshape(r.size, p).take(rows, 0)
+        H /= batch.sigma.ravel()[rows, None]
         if not there.all():
-            r[~there], H[~there] = 0.0, 0.0
-        H = H.reshape(r.size, p)[rows]
+            r[~there], H[~there.ravel()[rows]] = 0.0, 0.0
         steps = self._steps.changed.D
         known = np.empty((p + 1 + steps.shape[1], r.size))  # transposed: LAPACK's order
         PH = np.matmul(covariance, H.T, out=known[:p])

@@ -239,9 +239,10 @@ class Steps:
         """
         (D, d, J, of_each), changing = self.changed, self._predictor.changing
         W, e, seen = told
-        D = D - W.T @ seen
-        D[changing] = transition @ D
-        self.changed = Changed(D, d + seen.T @ e, J + seen.T @ seen, of_each)
+        now, more = W.T @ seen, seen.T @ seen
+        np.subtract(D, now, out=now)
+        now[changing] = transition @ now
+        self.changed = Changed(now, d + seen.T @ e, np.add(J, more, out=more), of_each)
         self._batches += 1
         if self._batches % _EVERY == 0:
             self._may_be(state)

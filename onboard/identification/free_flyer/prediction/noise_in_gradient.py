@@ -82,10 +82,11 @@ def added_by_line(
     wrong = predictor.predict(*joints, state, _misread(predictor, ticks.cyclic, error), ticks.thrust)
     if right is None:
         right = predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
-    slopes = wrong.jacobian - right.jacobian
+    slopes = np.subtract(wrong.jacobian, right.jacobian, out=wrong.jacobian)
     slopes[:, :, predictor.of_delays] = 0.0
     weight = np.sqrt(weight)
-    return AddedByLine(weight * (wrong.values - right.values), weight[:, :, None] * slopes, right.state)
+    slopes *= weight[:, :, None]
+    return AddedByLine(weight * (wrong.values - right.values), slopes, right.state)
 
 
 def _misread(predictor: ImuPredictor, cyclic: FloatArray, error: FloatArray) -> FloatArray:

@@ -191,10 +191,12 @@ class Pieces:
 
         Of the state, what changes from tick to tick; whether what is active stays; what else has steps.
         """
-        a = len(self._active)
+        a, same = len(self._active), by_state.take(self._active, -1)
+        same[..., ~stays] = 0.0
         out = np.asarray(by_state[..., changing] @ self.transition[changing], np.float64)
-        out[..., :a] += np.where(stays, by_state[..., self._active], 0.0)
-        out[..., a:] += by_state[..., steps_at] @ self.transition[steps_at, a:]
+        out[..., :a] += same
+        if len(steps_at):
+            out[..., a:] += by_state[..., steps_at] @ self.transition[steps_at, a:]
         return out
 
 

@@ -130,7 +130,7 @@ class Snapshots:
             step: that is believed; forgotten where all that is kept becomes something else.
         """
         self._newest += 1
-        self._kept.append(_Kept(self._newest, state, covariance.ravel()[_upper(len(state))], step))
+        self._kept.append(_Kept(self._newest, state, covariance.take(_upper(len(state))), step))
         oldest = [one for one in self._kept if self._newest - one.number >= self._tiers[-1][0] - 1][-1:]
         self._kept = oldest + [one for one in self._kept if self._stays(self._newest - one.number, one.number)]
 
@@ -142,7 +142,7 @@ class Snapshots:
         kept = []
         for one in self._kept:
             state, covariance = of(_unpacked(one))
-            kept.append(_Kept(one.number, state, covariance.ravel()[_upper(len(state))]))
+            kept.append(_Kept(one.number, state, covariance.take(_upper(len(state)))))
         self._kept = kept
 
     def back(self, batches: int) -> tuple[Known, Adds | None]:
