@@ -47,7 +47,8 @@ class FaultyScalar:
 
     def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """``value`` at each of ``times_s`` (n,), in order."""
-        if not self._is_faulty and isinstance(self._analog, ManyValues):
+        over = not self._is_faulty or (len(times_s) and self._faults.over(self._start_ns + round(times_s[0] * 1e9)))
+        if over and isinstance(self._analog, ManyValues):
             return self._analog.values(times_s)
         return np.array([self.value(time_s) for time_s in times_s.tolist()])
 

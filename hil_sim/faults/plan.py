@@ -62,6 +62,10 @@ class DeviceFaults:
                 return window
         return None
 
+    def over(self, now_ns: int) -> bool:
+        """Whether none is in force from ``now_ns`` on."""
+        return all(window.end_ns <= now_ns for window in self.windows)
+
     def within(self, now_ns: int, *kinds: FaultKind) -> FaultWindow | None:
         """The first fault of one of these kinds in force at ``now_ns``, or None."""
         for window in self.windows:

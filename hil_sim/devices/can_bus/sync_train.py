@@ -33,8 +33,8 @@ class AnswersAhead(Protocol):
 
     revision: int
 
-    def answers(self) -> Sequence[Tpdo] | None:
-        """The TPDOs that it answers each SYNC with, as it stands; None: it does something else on a SYNC."""
+    def answers(self, now_ns: int) -> Sequence[Tpdo] | None:
+        """The TPDOs that it answers each SYNC from now on with, as it stands; None: it does something else on one."""
 
     def hears(self, identifier: int) -> bool:
         """Whether a PDO of another node does anything to it."""
@@ -175,7 +175,7 @@ class SyncTrains:
         for place, node in enumerate(nodes):
             if node is box:
                 continue
-            if not _answers_ahead(node) or (answers := node.answers()) is None:
+            if not _answers_ahead(node) or (answers := node.answers(sync_end_ns)) is None:
                 return
             self._nodes.append(node)
             senders += [(tpdo, place) for tpdo in answers]

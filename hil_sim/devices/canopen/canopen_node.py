@@ -141,9 +141,9 @@ class CanopenNode(PoweredTwin):
         elif identifier == 0x000 and len(data) == 2 and data[1] in (0, self.node_id):
             self._on_nmt(data[0], now_ns)
 
-    def answers(self) -> list[Tpdo] | None:
-        """TPDOs that it answers each SYNC with, as things stand; None where that is not known."""
-        if self._is_faulty or self._sync_cob_id.value != _SYNC:
+    def answers(self, now_ns: int) -> list[Tpdo] | None:
+        """TPDOs that it answers each SYNC from now on with, as things stand; None where that is not known."""
+        if (self._is_faulty and not self._faults.over(now_ns)) or self._sync_cob_id.value != _SYNC:
             return None
         if self.state != OPERATIONAL:
             return []

@@ -132,7 +132,7 @@ class ServoDrive402(Drive402):
             return
         super().receive(identifier, data, now_ns)
 
-    def answers(self) -> None:
+    def answers(self, now_ns: int) -> None:
         """See ``CanopenNode``: where its axis goes depends on what the bus carries."""
 
     def statusword(self, now_ns: int) -> int:

@@ -107,7 +107,7 @@ def test_cyclic_position_follows_its_targets(zero, reversed_count):
 
 def test_what_it_answers_is_not_known_ahead():
     bench = Bench()
-    assert bench.drive.answers() is None
+    assert bench.drive.answers(0) is None
 
 
 def test_a_target_waits_for_sync_and_for_operational():

@@ -154,6 +154,27 @@ def test_no_trains_where_a_fault_is_to_come():
     assert len([frame for frame in made.frames if frame.identifier == 0x281]) > 90
 
 
+@pytest.mark.parametrize("kind", [FaultKind.STUCK, FaultKind.SILENT, FaultKind.GARBAGE, FaultKind.DELAYED])
+def test_trains_after_the_last_fault_are_what_the_wire_carries_frame_by_frame(kind):
+    def flight(*, ahead):
+        faults = FaultPlan([Fault(kind, "n", 0.3, 0.5, 0.05)], START_NS).of("n")
+        nodes = Encoder406(1, Swing(1.0), START_NS), Encoder406(9, Swing(1.0), START_NS, faults=faults)
+        made = Counted(SyncBox(RateClock(), START_NS), *nodes, ahead=ahead)
+        made.run(80)
+        for node in (1, 9):
+            made.wire.send(0x600 + node, bytes.fromhex("23 00 18 01 81 01 00 80"), made.now_ns)  # the timer's TPDO off
+            made.run(3)
+        made.send(0x000, 1, 0)
+        made.run(420 - 86)
+        during = made.trains
+        made.run(1000)
+        return made, during, [node.produced for node in nodes]
+
+    (ahead, during, made), (plain, _, expected) = flight(ahead=True), flight(ahead=False)
+    assert during == 0 < ahead.trains + ahead.rounds
+    assert (ahead.frames, made) == (plain.frames, expected)
+
+
 def test_no_train_beyond_what_is_known():
     swing = Swing(1.0)
     box, node = SyncBox(RateClock(), START_NS), Encoder406(1, swing, START_NS)
