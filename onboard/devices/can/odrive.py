@@ -43,6 +43,8 @@ counts_per_revolution = 8388608 # yours: 1048576 x gear, here 8; negative where 
 zero_count = 0                 # yours: what it reads at joint angle zero
 noise_rad = 5e-5               # yours: of a sample, arm at rest
 """
+    # messages wait for those of other axes: the more the joint turns, the more their angles scatter
+    new_floating_smoothing_ms: ClassVar[int | None] = 600
     kind: Literal["odrive"]
     node: Annotated[int, Field(ge=0, le=63)]
     counts_per_revolution: int = COUNTS

@@ -1,10 +1,14 @@
 """Measures the noise of the encoders' samples, by their scatter about the smoothed angles.
 
 What noise does to an estimate is taken out in proportion to its power (:mod:`onboard.regressor.signals`). A file often
-states more than there is: where 5e-5 rad were stated of an encoder without any, a payload was moved by ten sigmas.
+states more than there is: where 5e-5 rad were stated of an encoder without any, a payload was moved by ten sigmas. And
+messages that wait for others on their bus are late by a time that varies: while the joint turns, that is noise.
+
+The cyclic errors of a gear scatter, too. They have a noise of their own (:mod:`.cyclic`): an encoder with such has no
+more noise than is stated.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,12 +21,13 @@ class SampleScatter:
     """Of all encoders of a vehicle.
 
     Args:
-        names: of their channels.
+        cyclic: by the names of their channels, whether each has cyclic errors.
     """
 
-    def __init__(self, names: Collection[str]) -> None:
-        self._squares = dict.fromkeys(names, 1.0)  # over what is stated; what is stated counts as one sample
-        self._count = dict.fromkeys(names, 1)
+    def __init__(self, cyclic: Mapping[str, bool]) -> None:
+        self._most = {name: 1.0 if own else np.inf for name, own in cyclic.items()}
+        self._squares = dict.fromkeys(cyclic, 1.0)  # over what is stated; what is stated counts as one sample
+        self._count = dict.fromkeys(cyclic, 1)
 
     def take(self, names: Sequence[str], window: SmoothingWindow, values: FloatArray, noise: FloatArray) -> None:
         """Take in the samples of one window.
@@ -40,8 +45,9 @@ class SampleScatter:
                 self._squares[name] += float(own.sum())
                 self._count[name] += len(own)
 
-    def share(self, names: Sequence[str]) -> FloatArray:
-        """Power of the noise over what is stated, at most one, (c,)."""
-        return np.array(
-            [min(self._squares[name] / self._count[name], 1.0) if name in self._squares else 1.0 for name in names]
-        )
+    def power(self, names: Sequence[str]) -> FloatArray:
+        """Of the noise of channels, over what is stated, (c,)."""
+        return np.array([self._power(name) if name in self._squares else 1.0 for name in names])
+
+    def _power(self, name: str) -> float:
+        return min(self._squares[name] / self._count[name], self._most[name])

@@ -75,7 +75,7 @@ class SignalSmoother:
         self._told: set[tuple[str, str]] = set()
         self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
         moving = {name: signal for name, signal in self._signals.items() if signal.travels}
-        self._scatter = SampleScatter(moving)
+        self._scatter = SampleScatter({name: bool(signal.ripple) for name, signal in moving.items()})
         self._jumps = {name: JumpWatch(signal, follows=follows_jumps) for name, signal in moving.items()}
         self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
@@ -266,7 +266,9 @@ class SignalSmoother:
                 self._scatter.take([*group], window, values, noise)
             if not window.valid.all():
                 gaps |= reasons(~window.valid, GateReason.GAP)
-        of_samples = sigma * sigma
+        power = self._scatter.power([*group]) if len(noise) == len(group) else np.ones(len(noise))
+        of_samples = sigma * sigma * power
+        sigma *= np.sqrt(np.maximum(power, 1.0))
         # a time error dt is an error of dt times the next derivative, without the noise of that derivative
         change, of_change = np.empty_like(out), np.empty_like(sigma)
         change[:-1], change[-1] = out[1:], _rate_of_change(out[-1], at_s)
@@ -276,8 +278,6 @@ class SignalSmoother:
         if derivatives:
             self._ripple(group, out[1], sigma)
         of_samples /= np.maximum(sigma * sigma, _TINY)
-        if len(noise) == len(group):
-            of_samples *= self._scatter.share([*group])
         found, column, cyclic = {}, 0, self._cyclic(group, values, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])

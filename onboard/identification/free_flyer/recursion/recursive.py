@@ -95,7 +95,7 @@ class MotionFilter(Windowed):
         self._linearised.forget()
         if self._stepped is not None and self._earlier is not None:
             if found is not None and found.hypothesis is HeldPayload.NOTHING:
-                self._prior = self._earlier.known
+                self._prior, self._noise_before = self._earlier.known, self._earlier.noise
             self._earlier, self._asked = None, self._stepped.asked
             return
         if not self._hypotheses:  # steps since the window are replaced; unexplained, they stay, and are not to be used
@@ -106,7 +106,7 @@ class MotionFilter(Windowed):
                 self._stepped = stepped.after(found)
                 self._go_on_from(found)
             assert self.state is not None
-            self.snapshots.append(self.state, self.covariance)
+            self.snapshots.append(self.state, self.covariance, self.noise_added)
             return
         if self._trials is not None:
             self._trials.take(found)
@@ -256,7 +256,7 @@ class MotionFilter(Windowed):
                 return
             self._stepped = None if self._stepped.over else self._stepped
         adds = self.rivals.adds(self.corrected(self.state), self.covariance) if self.held else None
-        self.snapshots.append(self.state, self.covariance, adds)
+        self.snapshots.append(self.state, self.covariance, self.noise_added, adds)
         self.snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare()

@@ -17,6 +17,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.solved import HeldPayload
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
@@ -46,6 +47,7 @@ class Before(NamedTuple):
 
     ticks: Ticks
     known: Known
+    noise: NoiseAdded  # what noise of the joints had added to that
 
     @property
     def asked(self) -> tuple[Ticks, WindowProblem]:
@@ -72,11 +74,28 @@ class Before(NamedTuple):
         return (mean, covariance), first_state(predictor, seen, start, imu)
 
 
+class Snapshot(NamedTuple):
+    """What a filter knew."""
+
+    known: Known
+    step: Adds | None  # that was believed
+    noise: NoiseAdded  # what noise of the joints had added
+
+
 class _Kept(NamedTuple):
     number: int  # of the batch
     state: FloatArray  # (p,)
     triangle: FloatArray  # (p (p + 1) / 2,)
-    step: Adds | None = None  # one that was believed
+    noise: NoiseAdded  # its information as the triangle of a covariance
+    step: Adds | None = None
+
+    @property
+    def whole(self) -> Snapshot:
+        """With matrices in place of triangles."""
+        noise, p = self.noise, len(self.state)
+        if noise.information.size:
+            noise = noise._replace(information=_unpacked(noise.information, p))
+        return Snapshot((self.state, _unpacked(self.triangle, p)), self.step, noise)
 
 
 class Snapshots:
@@ -118,19 +137,25 @@ class Snapshots:
         if self._moving >= self._tiers[-1][0] or self._moving < batches:
             return batches, None
         ticks = None if self._moved is None else self._moved.part(slice(None, -(batches + 1) * BATCH_TICKS))
-        known = ticks is not None and len(ticks.time_s) >= self._fewest
-        return self._moving + 1, Before(ticks, self.back(batches + 1)[0]) if known and ticks is not None else None
+        if ticks is None or len(ticks.time_s) < self._fewest:
+            return self._moving + 1, None
+        then = self.back(batches + 1)
+        return self._moving + 1, Before(ticks, then.known, then.noise)
 
-    def append(self, state: FloatArray, covariance: FloatArray, step: Adds | None = None) -> None:
+    def append(self, state: FloatArray, covariance: FloatArray, noise: NoiseAdded, step: Adds | None = None) -> None:
         """Keep a state, (p,), and its covariance, (p, p).
 
         Args:
             state: as if there were no step in flight.
             covariance: of that.
+            noise: of the joints, what it has added.
             step: that is believed; forgotten where all that is kept becomes something else.
         """
         self._newest += 1
-        self._kept.append(_Kept(self._newest, state, covariance.take(_upper(len(state))), step))
+        upper = _upper(len(state))
+        if noise.information.size:
+            noise = noise._replace(information=noise.information.take(upper))
+        self._kept.append(_Kept(self._newest, state, covariance.take(upper), noise, step))
         oldest = [one for one in self._kept if self._newest - one.number >= self._tiers[-1][0] - 1][-1:]
         self._kept = oldest + [one for one in self._kept if self._stays(self._newest - one.number, one.number)]
 
@@ -141,25 +166,20 @@ class Snapshots:
         """Replace every state and its covariance by what is made of them."""
         kept = []
         for one in self._kept:
-            state, covariance = of(_unpacked(one))
-            kept.append(_Kept(one.number, state, covariance.take(_upper(len(state)))))
+            state, covariance = of(one.whole.known)
+            kept.append(_Kept(one.number, state, covariance.take(_upper(len(state))), one.noise))
         self._kept = kept
 
-    def back(self, batches: int) -> tuple[Known, Adds | None]:
-        """State and covariance so many before the newest, or of the next older one; the oldest where there is none.
-
-        And the step that was believed then.
-        """
+    def back(self, batches: int) -> Snapshot:
+        """What was known so many batches before the newest, or at the next older one; the oldest if there is none."""
         wanted = self._newest - batches
-        found = next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0])
-        return _unpacked(found), found.step
+        return next((one for one in reversed(self._kept) if one.number <= wanted), self._kept[0]).whole
 
 
-def _unpacked(kept: _Kept) -> Known:
-    p = len(kept.state)
+def _unpacked(triangle: FloatArray, p: int) -> FloatArray:
     upper = np.zeros((p, p))
-    upper.flat[_upper(p)] = kept.triangle
-    return kept.state, upper + np.triu(upper, 1).T
+    upper.flat[_upper(p)] = triangle
+    return upper + np.triu(upper, 1).T
 
 
 @lru_cache

@@ -135,14 +135,15 @@ class Windowed(Holding):
 
         ``altered``: but for the payload, a part of which has come off or been added.
         """
-        now = self._prior if self.state is None else (self.state, self.covariance)
-        before = self.noise_added if batches_back is not None else NoiseAdded.none(len(self.predictor.names))
-        self._noise_before, carried = before, False
+        now, noise, carried = self._prior, self._noise_before, False
         if batches_back is None:
-            now = self.initial
+            now, noise = self.initial, NoiseAdded.none(len(self.predictor.names))
         elif len(self.snapshots):
-            now, self.initial = self.rivals.adopting(*self.snapshots.back(batches_back), self.initial)
-            carried = True
+            then, carried = self.snapshots.back(batches_back), True
+            (now, self.initial), noise = self.rivals.adopting(then.known, then.step, self.initial), then.noise
+        elif self.state is not None:
+            now, noise = (self.state, self.covariance), self.noise_added
+        self._noise_before = noise
         if altered:
             by, covariance = changes(now[0][PAYLOAD]), now[1].copy()
             covariance[PAYLOAD, PAYLOAD] += by @ by.T

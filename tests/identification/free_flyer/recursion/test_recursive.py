@@ -275,3 +275,20 @@ def test_no_step_is_looked_for_while_the_arm_rests(monkeypatch):
     recursive.update(ticks_of(signals))
     assert {n for now, n in lines.items() if now < 2.9} == {0}
     assert min(n for now, n in lines.items() if now > 3.5) > 0
+
+
+def test_noise_of_ticks_that_are_given_up_at_a_change_is_given_up_with_them(monkeypatch):
+    """Links were moved by what motion had added that no longer counted: 2.7 sigmas in place of 1.1."""
+    rng = np.random.default_rng(4)
+    late = Late(Slow(free_flyer.JointMotion.draw(rng), 0.5), 3.0)
+    flight = free_flyer.FreeFlight(late, rng.uniform(-0.01, 0.01, 3))
+    capture = free_flyer.Capture(BOX.grown(0.3), 2.0, np.zeros(3), np.zeros(3))
+    signals = recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
+    recursive = online(signals, held=False)
+    back, p = recursive.snapshots.back, len(recursive.predictor.names)
+    then = NoiseAdded(np.full(p, 1e-12), np.zeros((p, p)))
+    monkeypatch.setattr(recursive.snapshots, "back", lambda batches: back(batches)._replace(noise=then))
+    recursive.update(ticks_of(signals))
+    assert recursive.held
+    np.testing.assert_array_equal(np.delete(recursive.noise_added.gradient, PAYLOAD), 1e-12)
+    np.testing.assert_array_equal(recursive.noise_added.gradient[PAYLOAD], 0.0)
