@@ -19,6 +19,10 @@ import os
 import pkgutil
 import sys
 from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import LazyLoader
+from types import ModuleType
 
 from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, UNAVAILABLE, complain
 from onboard.native.errors import NativeError
@@ -29,12 +33,26 @@ _COLLECTED_EVERY = 20_000  # objects made more than given back
 __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "UNAVAILABLE", "main", "parser"]
 
 
+class _LateF2py(MetaPathFinder):
+    """Loads ``numpy.f2py`` where it is used: SciPy names every module of NumPy, and this one is a sixth of a start."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path, target) if fullname == "numpy.f2py" else None
+        if spec is not None and spec.loader is not None:
+            spec.loader = LazyLoader(spec.loader)
+        return spec
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
     # The matrices are small: BLAS threads cost more than they save (a replay takes a third of the time without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    if not any(isinstance(finder, _LateF2py) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _LateF2py())
     gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
     atexit.register(gc.freeze)  # nor is it looked through when the process ends
     argv = sys.argv[1:] if argv is None else argv
