@@ -321,15 +321,24 @@ class Bank:
         values = np.maximum(values, 1.0)  # below one by rounding
         return float(0.5 * ((V.T @ g) ** 2 / values).sum() - 0.5 * np.log(values).sum())
 
-    def weigh(self, stated: Known, steps: Sequence[Hypothesis] = (), beyond: FloatArray | float = 0.0) -> Weighed:
+    def weigh(
+        self,
+        stated: Known,
+        steps: Sequence[Hypothesis] = (),
+        beyond: FloatArray | float = 0.0,
+        uncorrected: FloatArray | None = None,
+    ) -> Weighed:
         """All hypotheses; where a fault is more probable than the file as stated, also pairs of probable faults.
 
         Args:
             stated: mean and covariance if nothing is wrong.
             steps: further hypotheses.
             beyond: nats of each suspect that its evidence in this linear model does not have.
+            uncorrected: the mean before a correction, (p,), which may be too large: evidence is what both means have.
         """
         found, pairs = self.alone(stated), list[Hypothesis]()
+        if uncorrected is not None:
+            found = found.weaker(self.alone((uncorrected, stated[1])))
         logs, n = np.append(0.0, self._log_weights(found) + beyond), len(self.suspects)
         likeliest = int(logs.argmax()) - 1
         if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found.sizes[likeliest] < FARTHEST_SIZE:
@@ -420,6 +429,11 @@ class _Alone(NamedTuple):
     places: Sequence[tuple[slice, slice]]  # there of ``whiten`` and ``g``
     onto: FloatArray  # (R, r) columns of all along those of the other one
     slopes: Sequence[FloatArray]  # U of each at its constants
+
+    def weaker(self, other: "_Alone") -> "_Alone":
+        """With the evidence of each that is the less of two."""
+        less = other.nats < self.nats
+        return self._replace(nats=np.where(less, other.nats, self.nats), sizes=np.where(less, other.sizes, self.sizes))
 
     def root(self, one: Hypothesis, covariance: FloatArray, part: slice) -> Known:
         """As :meth:`Root.root`."""

@@ -86,6 +86,12 @@ class Inside(NamedTuple):
         each[self.at] = self.along
         return np.tile(each, self.times)
 
+    def along_with(self, gradients: FloatArray) -> FloatArray:
+        """What ticks' gradients by a state, (n, p), are along each step from its time on, (m,)."""
+        first = self.every * (self.begins + np.arange(self.times))
+        later = np.cumsum(gradients[::-1, self.at], axis=0)[::-1]
+        return np.asarray((later[first] @ self.along).ravel(), np.float64)
+
     def taken(self, which: Sequence[int]) -> "StepsTaken":
         """Some of them, by their numbers in the order of :meth:`changed`."""
         at, kinds = np.asarray(which, np.intp), max(self.along.shape[1], 1)
@@ -229,16 +235,28 @@ class Steps:
         begun = int(self._begun[which // len(self._of)])
         return 0 if begun < 0 else self._batches - begun + _EVERY
 
-    def step(self, told: tuple[FloatArray, FloatArray, FloatArray], transition: FloatArray, state: FloatArray) -> None:
+    def step(
+        self,
+        told: tuple[FloatArray, FloatArray, FloatArray],
+        transition: FloatArray,
+        state: FloatArray,
+        noise: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
+
+        Noise of the joints has moved the filter's state, and draws it towards a lighter payload in each batch, as if
+        the payload had become so.
 
         Args:
             state: at that end, (p,).
             told: of its lines ``L^-1 H P``, (lines, p), whitened innovations, (lines,), and ``L^-1 H D``, (lines, m).
             transition: of what changes, (c, p).
+            noise: the gradient that it has added in all, and adds in a batch, (p,) each.
         """
         (D, d, J, of_each), changing = self.changed, self._predictor.changing
         W, e, seen = told
+        if noise is not None and len(e):
+            e, d = e - W @ noise[0], d + D.T @ noise[1]
         now, more = W.T @ seen, seen.T @ seen
         np.subtract(D, now, out=now)
         now[changing] = transition @ now

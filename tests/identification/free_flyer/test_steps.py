@@ -75,7 +75,7 @@ def flight(rng: np.random.Generator) -> Flight:
     return Flight(H, F, rng.standard_normal((BATCHES, LINES)))
 
 
-def filtered(flight: Flight, steps: Steps) -> Known:
+def filtered(flight: Flight, steps: Steps, noise: tuple[np.ndarray, np.ndarray] | None = None) -> Known:
     """The last state by a filter, with steps beside it."""
     x, P = np.zeros(5), np.diag(SIGMA**2)
     for H, F, y in zip(*flight, strict=True):
@@ -84,7 +84,7 @@ def filtered(flight: Flight, steps: Steps) -> Known:
         x, P = x + W.T @ e[:, 0], P - W.T @ W
         T = np.vstack([F, np.eye(5)[1:]])
         x, P = T @ x, T @ P @ T.T
-        steps.step((W, e[:, 0], seen), F, x)
+        steps.step((W, e[:, 0], seen), F, x, noise)
     return x, P
 
 
@@ -245,3 +245,32 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     )  # of a window of eight seconds
     assert len(steps.suspects) == 8 * scales_and_zeros
     assert sum(one.odds for one in steps.suspects) == pytest.approx(82 * steps.suspects[-1].odds)
+
+
+def test_what_noise_does_to_the_state_and_to_each_batch_is_no_step(flight: Flight, steps: Steps, monkeypatch) -> None:
+    """A flight whose state is off by noise, and whose batches draw it on, has the evidence of one without noise."""
+    rng = np.random.default_rng(4)
+    total, rate = 1e-3 * rng.standard_normal((2, 5))
+    filtered(flight, steps)
+    plain, now = steps.changed, steps.step
+    drawn = np.zeros(len(plain.d))
+
+    def noted(told, transition, state, noise):
+        n, (W, _, seen) = steps.changed.d.size, told
+        drawn[:n] += steps.changed.D.T @ rate - seen.T @ (W @ total)
+        now(told, transition, state, noise)
+
+    steps.forget()
+    monkeypatch.setattr(steps, "step", noted)
+    filtered(flight, steps, (total, rate))
+    np.testing.assert_allclose(steps.changed.d, plain.d + drawn, atol=1e-12)
+    np.testing.assert_array_equal(steps.changed.J, plain.J)
+    assert np.abs(drawn).max() > 1e-6
+
+
+def test_gradients_of_ticks_count_for_a_step_from_its_time_on(rng: np.random.Generator) -> None:
+    inside = steps_module.Inside(np.array([1, 3]), rng.standard_normal((2, 3)), every=4, times=2)
+    gradients = rng.standard_normal((12, 5))
+    along = inside.along_with(gradients)
+    expected = [gradients[first:, [1, 3]].sum(axis=0) @ inside.along for first in (4, 8)]
+    np.testing.assert_allclose(along, np.concatenate(expected))

@@ -33,6 +33,9 @@ class Holding(BoundedWork):
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.held: bool | None = None
         self.noise_added = self._noise_before = NoiseAdded.none(len(predictor.names))
+        self._noise_rate = np.zeros(
+            len(predictor.names)
+        )  # its gradient in a batch, mean of about as many as take turns
         self._correction: tuple[FloatArray, NoiseAdded, NoiseCorrection] | None = None  # by covariance and noise
         self._corrected: tuple[FloatArray, NoiseCorrection, FloatArray] | None = None  # by state and correction
 
@@ -63,6 +66,7 @@ class Holding(BoundedWork):
             turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
             added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise)
             self.noise_added = self.noise_added.plus(added)
+            self._noise_rate = self._noise_rate + (added.gradient - self._noise_rate) / ticks.sample_sigma[0].size
 
     @property
     def correction(self) -> NoiseCorrection:

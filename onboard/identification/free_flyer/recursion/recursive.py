@@ -244,7 +244,8 @@ class MotionFilter(Windowed):
         # symmetric, else what rounding leaves of P - P' grows until S is not positive definite
         self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         # of an arm at rest, accelerations are noise of its encoders, and would show a lighter payload or a cell's zero
-        self.rivals.steps.step(innovation.first(0 if ticks.rest else used), predicted.transition, self.state)
+        told, added = innovation.first(0 if ticks.rest else used), (self.noise_added.gradient, self._noise_rate)
+        self.rivals.steps.step(told, predicted.transition, self.state, added if added[0].any() else None)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
         if self._stepped is not None:
             self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)

@@ -105,6 +105,7 @@ class WindowRounds:
         exchanged = _exchanged(first)
         for payload in (True, False) if exchanged else (True,):
             known = (asked.corrected, asked.covariance), asked.steps
+            self._rivals.corrected(asked.corrected, asked.state)
             freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=payload)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
                 wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)

@@ -25,7 +25,7 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
-from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
+from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_by_tick
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
 from onboard.identification.free_flyer.recursion.solved import EXPLAINED, HeldPayload, Solved
@@ -336,14 +336,21 @@ class WindowSolve:
         # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
         moves, of_each = np.linalg.solve(informed, across.T), self._steps._replace(times=1).changed(len(start))
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
-        steps = Changed(whole.stepped - F @ moves, uphill @ moves - along, products - across @ moves, of_each)
-        told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         before = self._noise if self._hypothesis is HeldPayload.SAME else self._noise.but_for(PAYLOAD)
-        noise = noise_added(self._predictor, self._ticks, self._sigma[1:-1], use, start).plus(before)
+        own, by_tick = noise_by_tick(self._predictor, self._ticks, self._sigma[1:-1], use, start)
+        noise, d = own.plus(before), uphill @ moves - along
+        if noise.gradient.any():
+            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(noise.gradient)
+        steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)
+        told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
         evidence = evidence_of(whole, use.sum(axis=0), there, cost - squares, (stated, informed))
         corrected = end + correction_of(covariance, noise, self._predictor.stated).shift
         return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, corrected, evidence)
+
+    def _of_active(self, x: FloatArray) -> FloatArray:
+        """Of (p,) what belongs to the unknowns, (a + r,), zero for sizes of steps."""
+        return np.asarray(np.append(x, np.zeros(len(self._taken.first)))[self._problem.active], np.float64)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""

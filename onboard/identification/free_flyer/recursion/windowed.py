@@ -85,6 +85,12 @@ class Windowed(Holding):
         self.innovations = Innovations(predictor, self.fusion, self.rivals)
         self._open(at_first(held, known is not None), self.initial)
 
+    def corrected(self, state: FloatArray) -> FloatArray:
+        """As of :class:`.Holding`; faults are weighed with and without the correction."""
+        known = super().corrected(state)
+        self.rivals.corrected(known, state)
+        return known
+
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         without = [*self.fusion.left_out, *trial.without]
         off = self.rivals.places(() if trial.stated else (*self.rivals.freed, *trial.free))

@@ -30,6 +30,9 @@ class SuspectsThat:
         self.taken_as: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         self.steps = SimpleNamespace(of_payload=lambda which: tuple(k for k in which if k >= OF_PAYLOAD), altering=PART)
 
+    def corrected(self, state: np.ndarray, before: np.ndarray) -> None:
+        """It weighs nothing."""
+
     def wrong(
         self, known: object, inside: object, *, changed: bool, payload: bool = True
     ) -> tuple[tuple[int, ...], tuple[int, ...], float]:

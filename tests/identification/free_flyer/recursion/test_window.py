@@ -393,3 +393,21 @@ def test_whether_a_known_payload_was_held_before_is_decided_by_which_is_likelier
             solve.advance()
         assert solve.found is not None  # each explains it
     assert solve.found.hypothesis is expected
+
+
+def test_what_noise_adds_from_tick_to_tick_is_no_step_inside_a_window(held, monkeypatch):
+    """A payload seemed to become lighter: a flight with encoders of 12 bits and a wrist sensor was refused."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 102))
+    p, inside = len(predictor.names), Steps(predictor).inside(100)
+    each = np.random.default_rng(3).standard_normal((100, p))
+    found = []
+    for of_all in (np.zeros(p), np.full(p, 1e-15)):
+        monkeypatch.setattr(windows, "noise_by_tick", lambda *_, g=of_all: (NoiseAdded(g, np.zeros((p, p))), each))
+        prior = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+        solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), None, steps=inside)
+        while not solve.over:
+            solve.advance()
+        assert solve.found is not None
+        found.append(solve.found)
+    about = inside.about(found[0].start)
+    np.testing.assert_allclose(found[1].steps.d - found[0].steps.d, about.along_with(each), rtol=1e-3, atol=1e-3)
