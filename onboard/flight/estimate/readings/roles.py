@@ -31,7 +31,8 @@ def roles_of(vehicle: config.Vehicle) -> Roles:
     for channel, own in known.items():
         if (clock := clocks.get(channel, "")) != joints:
             known[channel] = hypot(own, shared.get(clock, 0.0), shared.get(joints, 0.0))
-    found.joints[:] = [one._replace(delay_sigma_s=known.get(one.channel, one.delay_sigma_s)) for one in found.joints]
+    for k, joint in enumerate(found.joints):
+        found.joints[k] = joint._replace(delay_sigma_s=max(known.get(joint.channel, 0.0), joint.delay_sigma_s))
     found.cells[:] = [_late(one, known) for one in found.cells]
     return found
 

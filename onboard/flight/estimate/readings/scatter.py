@@ -5,7 +5,7 @@ states more than there is: where 5e-5 rad were stated of an encoder without any,
 messages that wait for others on their bus are late by a time that varies: while the joint turns, that is noise.
 
 The cyclic errors of a gear scatter, too. They have a noise of their own (:mod:`.cyclic`): an encoder with such has no
-more noise than is stated.
+more noise than is stated. Of free-flyers only: to rows, what is not of samples is an error that lasts.
 """
 
 from collections.abc import Mapping, Sequence

@@ -75,7 +75,7 @@ class SignalSmoother:
         self._told: set[tuple[str, str]] = set()
         self._watches = {name: StuckWatch(signal) for name, signal in self._signals.items() if not signal.is_pose}
         moving = {name: signal for name, signal in self._signals.items() if signal.travels}
-        self._scatter = SampleScatter({name: bool(signal.ripple) for name, signal in moving.items()})
+        self._scatter = SampleScatter({name: bool(signal.ripple) for name, signal in moving.items() if follows_jumps})
         self._jumps = {name: JumpWatch(signal, follows=follows_jumps) for name, signal in moving.items()}
         self._attitudes = {one.channel: np.zeros(4) for one in trackers}  # the last, of which the next has the sign
 
