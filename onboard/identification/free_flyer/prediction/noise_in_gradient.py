@@ -35,6 +35,7 @@ def noise_added(
     state: FloatArray,
     turn: int = 0,
     noise: FloatArray | None = None,
+    by_tick: FloatArray | None = None,
 ) -> NoiseAdded:
     """Of all lines; nothing where the noise is next to nothing beside that of every line.
 
@@ -46,31 +47,20 @@ def noise_added(
         state: (p,) at the first tick.
         turn: whose turn it is first, a count.
         noise: one sigma of each line, (b + 2, m), where it is known.
+        by_tick: zeros, (b, p), that become the gradient of each tick.
     """
-    return noise_by_tick(predictor, ticks, sigma, use, state, turn, noise)[0]
-
-
-def noise_by_tick(
-    predictor: ImuPredictor,
-    ticks: Ticks,
-    sigma: FloatArray,
-    use: BoolArray,
-    state: FloatArray,
-    turn: int = 0,
-    noise: FloatArray | None = None,
-) -> tuple[NoiseAdded, FloatArray]:
-    """:func:`noise_added`, and the gradient that each tick has of it, (b, p)."""
-    added, each = NoiseAdded.none(len(state)), np.zeros((len(sigma), len(state)))
+    added = NoiseAdded.none(len(state))
     noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state) if noise is None else noise
     if not is_noisy(noise[1:-1], sigma, use):
-        return added, each
+        return added
     for first in range(0, len(sigma), PIECE):
         own, here = ticks.part(slice(first, first + PIECE + 2)), slice(first, first + PIECE)
         some = own, sigma[here], use[here], state, turn + first // BATCH_TICKS
         by_line = added_by_line(predictor, *some)
         added, state = added.plus(by_line.of(slice(None))), by_line.state
-        each[here] = np.einsum("bm,bmp->bp", by_line.effect, by_line.slopes)
-    return added, each
+        if by_tick is not None:
+            by_tick[here] = np.einsum("bm,bmp->bp", by_line.effect, by_line.slopes)
+    return added
 
 
 def is_noisy(noise: FloatArray, sigma: FloatArray, use: BoolArray) -> bool:

@@ -25,7 +25,7 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
-from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_by_tick
+from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
 from onboard.identification.free_flyer.recursion.solved import EXPLAINED, HeldPayload, Solved
@@ -337,8 +337,8 @@ class WindowSolve:
         moves, of_each = np.linalg.solve(informed, across.T), self._steps._replace(times=1).changed(len(start))
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
         before = self._noise if self._hypothesis is HeldPayload.SAME else self._noise.but_for(PAYLOAD)
-        own, by_tick = noise_by_tick(self._predictor, self._ticks, self._sigma[1:-1], use, start)
-        noise, d = own.plus(before), uphill @ moves - along
+        some, by_tick = (self._predictor, self._ticks, self._sigma[1:-1], use, start), np.zeros((len(use), len(start)))
+        noise, d = noise_added(*some, by_tick=by_tick).plus(before), uphill @ moves - along
         if noise.gradient.any():
             d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(noise.gradient)
         steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)

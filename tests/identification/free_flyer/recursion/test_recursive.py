@@ -205,13 +205,18 @@ def test_steps_about_a_payload_that_is_hardly_known_are_replaced_by_a_window_of_
     assert (np.abs(recursive.state - whole.found.state)[PAYLOAD] < 0.5 * sigma).all()
 
 
-def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch):
-    """What was learned of other unknowns since the arm began to move is not kept."""
+def caught_at_rest():
+    """A payload is caught at 2 s; the arm moves, slowly, from 3 s on."""
     rng = np.random.default_rng(4)
     late = Late(Slow(free_flyer.JointMotion.draw(rng), 0.5), 3.0)
     flight = free_flyer.FreeFlight(late, rng.uniform(-0.01, 0.01, 3))
     capture = free_flyer.Capture(BOX.grown(0.3), 2.0, np.zeros(3), np.zeros(3))
-    signals = recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
+    return recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
+
+
+def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch):
+    """What was learned of other unknowns since the arm began to move is not kept."""
+    signals = caught_at_rest()
     recursive, since_s = online(signals, held=False), []
     back = recursive.snapshots.back
 
@@ -279,11 +284,7 @@ def test_no_step_is_looked_for_while_the_arm_rests(monkeypatch):
 
 def test_noise_of_ticks_that_are_given_up_at_a_change_is_given_up_with_them(monkeypatch):
     """Links were moved by what motion had added that no longer counted: 2.7 sigmas in place of 1.1."""
-    rng = np.random.default_rng(4)
-    late = Late(Slow(free_flyer.JointMotion.draw(rng), 0.5), 3.0)
-    flight = free_flyer.FreeFlight(late, rng.uniform(-0.01, 0.01, 3))
-    capture = free_flyer.Capture(BOX.grown(0.3), 2.0, np.zeros(3), np.zeros(3))
-    signals = recorded(free_flyer.fly_with_capture(flight, capture, 7.5), rng)
+    signals = caught_at_rest()
     recursive = online(signals, held=False)
     back, p = recursive.snapshots.back, len(recursive.predictor.names)
     then = NoiseAdded(np.full(p, 1e-12), np.zeros((p, p)))

@@ -402,7 +402,12 @@ def test_what_noise_adds_from_tick_to_tick_is_no_step_inside_a_window(held, monk
     each = np.random.default_rng(3).standard_normal((100, p))
     found = []
     for of_all in (np.zeros(p), np.full(p, 1e-15)):
-        monkeypatch.setattr(windows, "noise_by_tick", lambda *_, g=of_all: (NoiseAdded(g, np.zeros((p, p))), each))
+
+        def added(*_, by_tick, g=of_all):
+            by_tick[:] = each
+            return NoiseAdded(g, np.zeros((p, p)))
+
+        monkeypatch.setattr(windows, "noise_added", added)
         prior = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), None, steps=inside)
         while not solve.over:
