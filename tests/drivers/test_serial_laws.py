@@ -56,14 +56,14 @@ def described(flight):
 
 LINES = {
     "bota_ft": Line(test_bota_ft.Flight, lambda one: one.frames(26), lambda one: one.frames(400), 40, 11),
-    "robotous_rft": Line(test_robotous_rft.Flight, lambda one: one.packets(40), lambda one: one.packets(300), 60, 11),
+    "robotous_rft": Line(test_robotous_rft.Flight, lambda one: one.packets(40), lambda one: one.packets(60), 60, 11),
     "net_ft": Line(test_net_ft.Flight, lambda one: one.records(6), lambda one: one.records(20), 14, 11),
     "onrobot_hex": Line(test_net_ft.hex_flight, lambda one: one.records(9), lambda one: one.records(20), 20, 9),
     "ur_rtde": Line(rtde_flight.Flight, lambda one: one.packages(6), lambda one: one.packages(20), 20, 11),
     "pose_tracker": Line(test_pose_tracker.flight_closed, test_pose_tracker.fly, test_pose_tracker.fly_on, 20, 40),
     "node_frame": Line(lambda: node_flight.Flight(VirtualClock()), described, described, 20, 80),
     "dsc": flown(test_dsc.Flight, 30, 50, 20, 11),
-    "dynamixel": flown(test_dynamixel_device.Flight, 80, 80, 50, 4),
+    "dynamixel": flown(test_dynamixel_device.Flight, 80, 40, 50, 4),
     "modbus": flown(test_modbus_device.Flight, 60, 60, 50, 11),
     "nimu": flown(test_nimu_device.Flight, 30, 10, 30, 91),
     "qsb": flown(qsb_flight.Flight, 30, 15, 60, 121),
