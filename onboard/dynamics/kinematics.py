@@ -86,11 +86,16 @@ def link_motions(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, offsets: FloatArray | None = None
 ) -> tuple[LinkMotion, ...]:
     """The links of :func:`chain_motion`, which has the arguments, one by one."""
-    R, p, V, A = chain_motion(vehicle, q, dq, ddq, offsets).links
+    return motions_of(chain_motion(vehicle, q, dq, ddq, offsets).links)
+
+
+def motions_of(frames: Frames) -> tuple[LinkMotion, ...]:
+    """Frames one by one; :func:`frames_of` takes it back."""
+    R, p, V, A = frames
     w, dw = V[..., 3:], A[..., 3:]
     v = V[..., :3] + cross(w, p)
     a = A[..., :3] + cross(dw, p) + cross(w, v)
-    return tuple(LinkMotion(*(part[:, k] for part in (R, p, v, w, a, dw))) for k in range(len(vehicle.links)))
+    return tuple(LinkMotion(*(part[:, k] for part in (R, p, v, w, a, dw))) for k in range(p.shape[1]))
 
 
 def chain_motion(

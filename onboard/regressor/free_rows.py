@@ -6,12 +6,11 @@ The regressor is made of base motion, measured (plain least squares, biased by i
 variables).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import LinkMotion, composite_inertia, cross, link_motions, wrench_columns
+from onboard.dynamics.kinematics import composite_inertia, cross, link_motions, wrench_columns
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import possible_body
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -61,14 +60,7 @@ def zero_wrench_rows(
     vehicle: VehicleModel, q: FloatArray, dq: FloatArray, ddq: FloatArray, base: BaseSignals
 ) -> tuple[FloatArray, FloatArray]:
     """Rows ``W_payload chi_payload = -W_known chi_known``: Y (n, 6, 10), y (n, 6); wrench about the base's origin."""
-    return zero_wrench_of(vehicle, link_motions(vehicle, q, dq, ddq), base)
-
-
-def zero_wrench_of(
-    vehicle: VehicleModel, links: Sequence[LinkMotion], base: BaseSignals
-) -> tuple[FloatArray, FloatArray]:
-    """As :func:`zero_wrench_rows`, by the motion of the links."""
-    columns = vehicle.payload_columns()
+    columns, links = vehicle.payload_columns(), link_motions(vehicle, q, dq, ddq)
     Y, y = np.empty((len(base.rate), 6, 10)), np.zeros((len(base.rate), 6))
     for index, link in enumerate(links):
         W = wrench_columns(link, base.rate, base.specific_force, base.acceleration)

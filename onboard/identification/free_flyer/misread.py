@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import LinkMotion, composite_inertia, link_motions
+from onboard.dynamics.kinematics import Bodies, Frames, chain_motion, motions_of, wrench_columns
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
@@ -24,7 +24,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredi
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
-from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu, zero_wrench_of
+from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu
 
 _UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero
 _FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut off, and each tells six lines anew
@@ -110,7 +110,9 @@ class _Recording:
         self.ticks = len(some)
         self._imu, self._noise = (BaseSignals(*(one[some] for one in of)) for of in (imu, noise))
         self._joints = ticks.q[some], ticks.dq[some], ticks.ddq[some]
-        self._links: tuple[tuple[object, ...], tuple[LinkMotion, ...]] | None = None
+        self._links: tuple[tuple[object, ...], Frames] | None = None
+        self._known = vehicle.chi.copy()
+        self._known[vehicle.payload_columns()] = 0.0
         self._by_noise = np.zeros(2)  # of the stated ones: forces, moments
         self._by_noise = self.by_noise(FlightReading.stated(len(vehicle.joints)))
 
@@ -126,12 +128,11 @@ class _Recording:
             rounds: of Gauss-Newton: the accelerometer's zero acts on the payload's mass, too.
         """
         links, base = self._links_of(way), self._base(self._imu, way)
-        chi, zero, left = self._vehicle.chi.copy(), np.zeros(3), np.inf
-        chi[self._vehicle.payload_columns()] = 0.0
+        chi, zero, left = self._known.copy(), np.zeros(3), np.inf
         for _ in range(rounds):
             moved = base._replace(specific_force=base.specific_force - zero)
-            Y, y = zero_wrench_of(self._vehicle, links, moved)
-            of_zero = -composite_inertia(links, chi)[:, :, :3]
+            Y, y = self._rows(links, moved)
+            of_zero = -Bodies.of(links, chi).composite[:, :, :3]
             size = _sizes(y, of_zero)
             if not min(size) > 0.0:
                 return np.inf
@@ -152,18 +153,26 @@ class _Recording:
 
     def by_noise(self, way: FlightReading) -> FloatArray:
         """Share of the squares that the IMU's noise makes, of forces and of moments, (2,)."""
-        links, chi = self._links_of(way), self._vehicle.chi.copy()
-        chi[self._vehicle.payload_columns()] = 0.0
+        links = self._links_of(way)
         imu = BaseSignals(*(one + noise for one, noise in zip(self._imu, self._noise, strict=True)))
-        y, noisy = (zero_wrench_of(self._vehicle, links, self._base(one, way))[1] for one in (self._imu, imu))
-        size = _sizes(y, composite_inertia(links, chi)[:, :, :3])
+        y, noisy = (self._rows(links, self._base(one, way))[1] for one in (self._imu, imu))
+        size = _sizes(y, Bodies.of(links, self._known).composite[:, :, :3])
         over = (noisy - y) ** 2
         return np.array([over[:, :3].sum(), over[:, 3:].sum()]) / np.where(size > 0.0, size, np.inf)
 
-    def _links_of(self, way: FlightReading) -> tuple[LinkMotion, ...]:
+    def _rows(self, links: Frames, base: BaseSignals) -> tuple[FloatArray, FloatArray]:
+        """As :func:`onboard.regressor.free_rows.zero_wrench_rows`, by the motion of the links."""
+        twist = np.hstack([np.zeros_like(base.rate), base.rate])
+        bodies = Bodies.of(links, self._known, twist, np.hstack([base.specific_force, base.acceleration]))
+        held = self._vehicle.payload_columns().start // 10
+        [payload] = motions_of(Frames(*(part[:, held : held + 1] for part in links)))
+        Y = wrench_columns(payload, base.rate, base.specific_force, base.acceleration)
+        return Y, -bodies.sums(np.ones((1, links.p.shape[1]))).wrench[:, 0]
+
+    def _links_of(self, way: FlightReading) -> Frames:
         key = (way.order, *way.factor.tolist(), *way.shift_rad.tolist())
         if self._links is None or self._links[0] != key:
-            self._links = key, link_motions(self._vehicle, *way.joints(*self._joints))
+            self._links = key, chain_motion(self._vehicle, *way.joints(*self._joints)).links
         return self._links[1]
 
     def _base(self, imu: BaseSignals, way: FlightReading) -> BaseSignals:
@@ -214,6 +223,8 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
     names = [joint.name for joint in vehicle.joints]
     stated = FlightReading.stated(len(names))
     if not recording.ticks or (least := recording.left(stated, ROUNDS)) <= recording.explained(stated):
+        return None
+    if least == np.inf:  # nothing moves, however it is read
         return None
     of_imu, of_joints = [*_of_imu(stated)], [*_of_joints(stated, names)]
     zeros = [*_of_zeros(stated, names)]
