@@ -39,16 +39,18 @@ def predict_floating(body: Floating, state: FloatArray, period_s: float) -> Floa
     n, h = len(body.force), period_s
     states = np.empty((n + 1, *state.shape))
     states[0] = state
+    rates, ahead = np.empty((2, 3, *state.shape[1:]))
     for i in range(n):
         now = states[i]
         turned = body.turning[i] + body.steady[2] - body.drag[1] * now[5]
         middle = now[2] + 0.5 * h * now[5] + 0.125 * h * h * turned
         c, s = np.cos(middle), np.sin(middle)
         fx, fy = body.force[i]
-        pushed = np.stack([c * fx - s * fy, s * fx + c * fy]) + body.steady[:2] - body.drag[0] * now[3:5]
-        rates = np.concatenate([pushed, turned[None]])
-        ax, ay, turned = body.ahead[i]
-        ahead = np.stack([c * ax - s * ay, s * ax + c * ay, turned])
+        rates[0], rates[1], rates[2] = c * fx - s * fy, s * fx + c * fy, turned
+        rates[:2] += body.steady[:2]
+        rates[:2] -= body.drag[0] * now[3:5]
+        ax, ay, ahead[2] = body.ahead[i]
+        ahead[0], ahead[1] = c * ax - s * ay, s * ax + c * ay
         states[i + 1, :3] = now[:3] + h * now[3:] + 0.5 * h * h * rates + ahead
         states[i + 1, 3:] = now[3:] + h * rates
     return states

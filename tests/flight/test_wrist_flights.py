@@ -36,8 +36,8 @@ def seconds_of(log):
     ("kind", "usual", "rate", "seconds"),
     [
         *(("bota_ft", 400, rate, 7.9) for rate in (800, 100)),  # the first second it starts
-        *(("robotous_rft", 200, rate, 8.5) for rate in (333, 100)),
-        *(("onrobot_hex", 500, rate, 8.8) for rate in (1000, 100)),
+        ("robotous_rft", 200, 333, 8.5),
+        ("onrobot_hex", 500, 1000, 8.8),
     ],
 )
 def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
