@@ -22,6 +22,11 @@ def finite(parts: Sequence[FloatArray]) -> BoolArray:
     return np.asarray(np.isfinite(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)).all(axis=1))
 
 
+def gaps(time_s: FloatArray, period_s: float) -> BoolArray:
+    """Which neighbouring ticks, times (n,), do not follow each other by one period, to half of it: (n - 1,)."""
+    return np.asarray(np.rint(np.diff(time_s) / period_s) != 1.0)
+
+
 def scatter(values: FloatArray) -> FloatArray:
     """Standard deviation of each column about zero, (columns,), by the median of its size: outliers hardly count."""
     return np.asarray(OF_MEDIAN * np.median(np.abs(values), axis=0), np.float64)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import MOSTLY
 from onboard.estimation.recursive.rls import Observability
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
-_SHOWN = 0.3  # fraction of a direction's largest share below which shares are not written
 _GAIN = 1.0 / SUPPORTED_SHRINKAGE**2 - 1.0  # information over the prior's at which a direction counts as determined
 
 
@@ -39,7 +39,7 @@ def observed_directions(seen: Observability, names: Sequence[str]) -> ObservedDi
 def _words(share: FloatArray, names: Sequence[str]) -> str:
     """``0.8 XX_arm_R - 0.5 XZ_arm``; a direction along one parameter is that parameter."""
     largest = np.abs(share).max()
-    order = [k for k in np.argsort(-np.abs(share)) if abs(share[k]) > _SHOWN * largest]
+    order = [k for k in np.argsort(-np.abs(share)) if abs(share[k]) > MOSTLY * largest]
     if len(order) == 1:
         return str(names[order[0]])
     share = share / (np.linalg.norm(share) * np.sign(share[order[0]]))

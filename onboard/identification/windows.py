@@ -14,6 +14,7 @@ from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.recursive.consistency import NoiseScale, noise_scale
 
 WINDOW_s = 5.0  # of a state that begins anew: what a guess is off by grows in it, where a body tumbles
+PAUSE = 3.0  # usual steps of time: across a longer one samples are missing, and a body has moved by itself
 SHORTEST = 20  # ticks or poses in one
 STAGES_s = (4.0,)  # parts of a segment or run that are fitted first: from a poor guess most fits of all get nowhere
 LEAST_TOLD = 0.01  # least share of a stated variance that the data must take away

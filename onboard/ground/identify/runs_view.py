@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 Row = Mapping[str, Any]
-_NEAR_s = 2.0  # from a run of the log to one of the truth that is the same
 
 
 def compared(runs: Sequence[Row], truth: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -25,10 +24,10 @@ def compared(runs: Sequence[Row], truth: Mapping[str, Any]) -> list[dict[str, An
     for run in runs:
         shown, offset_s = dict(run), run["log_start_s"] - 1e-9 * truth["start_ns"]  # mission time of the first tick
         release_s = run["release_s"]
-        at_s = np.nan if release_s is None else release_s + offset_s
-        near = [one for one in flown if abs(one["release_s"] - at_s) < _NEAR_s]
-        if near:
-            one = near[0]
+        begin_s, end_s = (np.nan if of is None else of + offset_s for of in (release_s, run["catch_s"]))
+        same = [one for one in flown if one["release_s"] < end_s and one["catch_s"] > begin_s]
+        if same:
+            one = same[0]
             shown |= {"flown": one["flown"], "true_bumps": len(one["bumps_s"])}
             shown["release_late_s"] = release_s + offset_s - one["release_s"]
             shown["catch_early_s"] = one["catch_s"] - run["catch_s"] - offset_s

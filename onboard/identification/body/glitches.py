@@ -15,10 +15,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from onboard.estimation.arrays import BoolArray, FloatArray, scatter
 from onboard.estimation.policy import MOSTLY, READING, sigmas
+from onboard.identification.windows import PAUSE
 
 _BESIDE = 9  # steps of a median
 _LONGEST_s = 1.0  # that a tracker is elsewhere, unless it repeats one pose
-_PAUSE = 3.0  # median steps: across a longer one the body has moved by itself
 
 
 class Glitches(NamedTuple):
@@ -55,7 +55,7 @@ def _among(time_s: FloatArray, measured: FloatArray, noise: FloatArray, repeated
     off = steps - rates * lasted
     sigma = np.maximum(np.sqrt(2.0) * noise, scatter(off))
     jumps = np.flatnonzero(np.abs(off / sigma).max(axis=1) > sigmas(READING)).tolist()
-    at_once, end = lasted[:, 0] < _PAUSE * np.median(lasted), -1
+    at_once, end = lasted[:, 0] < PAUSE * np.median(lasted), -1
     for k, first in enumerate(jumps):
         if first <= end or not at_once[first]:
             continue

@@ -24,7 +24,7 @@ from onboard.dynamics.kinematics import cross
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import symmetric
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray, gaps, hat
 from onboard.estimation.policy import DOUBT
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, first_rate
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
@@ -101,9 +101,10 @@ def before_capture(
     if first < _BESIDE + 1 or ends[-1] + _BESIDE + 1 >= len(ticks.time_s):
         raise SignalError(f"ticks are missing within {_BESIDE * predictor.period_s:g} s of the capture")
     seen = ticks.part(slice(first - _BESIDE - 1, ends[-1] + _BESIDE + 2))
-    if (np.rint(np.diff(seen.time_s) / predictor.period_s) != 1.0).any() or not np.isfinite(
-        np.column_stack([seen.measured[:, :6], seen.q, seen.dq])
-    ).all():
+    if (
+        gaps(seen.time_s, predictor.period_s).any()
+        or not np.isfinite(np.column_stack([seen.measured[:, :6], seen.q, seen.dq])).all()
+    ):
         raise SignalError("readings are missing about the capture")
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
         raise SignalError("the estimated payload has no mass or inertia that a body can have")

@@ -18,7 +18,7 @@ import numpy as np
 from onboard.dynamics.model.inertia import composite_functional, symmetric
 from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
 from onboard.dynamics.pivot import PivotBody, predict_pivot, specific_force
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, gaps
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import MINIMUM, Fit, Normal, fit_normal, inverse_of
 from onboard.estimation.recursive.consistency import NoiseScale
@@ -279,7 +279,7 @@ def windows_of(ticks: Ticks, held: BoolArray, period_s: float, R_BS: FloatArray)
     most = max(SHORTEST, round(WINDOW_s / period_s))
     known = np.asarray(np.isfinite(np.hstack([ticks.dq, ticks.ddq])).all(axis=1), np.bool_)
     use = np.asarray(np.isfinite(ticks.measured.reshape(-1, 2, 3)).all(axis=2) & known[:, None], np.bool_)
-    apart = (held[1:] != held[:-1]) | ~known[1:] | ~known[:-1] | (np.abs(np.diff(ticks.time_s) / period_s - 1.0) > 0.5)
+    apart = (held[1:] != held[:-1]) | ~known[1:] | ~known[:-1] | gaps(ticks.time_s, period_s)
     parts, first = list[slice](), 0
     for end in (*(np.flatnonzero(apart) + 1).tolist(), len(known)):
         while first < end and not use[first].all():

@@ -33,6 +33,7 @@ from onboard.identification.free_flyer.prediction.further import PlacedImu
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.parameters import Unknowns
+from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table.floating_base import NO_MULTIPLES, PATIENT, AirBearingBase, AirBearingPrior, DragPrior
 
@@ -41,7 +42,6 @@ _SEARCH_PERIOD_s = 0.02  # between ticks
 _ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
 _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
-_STILL = 0.02  # rad or m: joints that go no farther show nothing
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
 MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is reported and nothing can be
@@ -91,7 +91,7 @@ class TableFit(MotionFit):
 
     def fit(self) -> PayloadFit:
         """See :meth:`MotionFit.fit`."""
-        if np.ptp(self._base.signals.q, axis=0).max(initial=0.0) < _STILL:
+        if np.abs(self._base.signals.dq).max(initial=0.0) <= RESTS_rad_s:
             raise ConvergenceError("no joint moves: these data do not determine a payload")
         found, failure = list[PayloadFit](), list[EstimationError | SignalError]()
         try:

@@ -12,12 +12,11 @@ from onboard.devices.recorded import ThrusterKeys
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import HALF, INTERVAL, MOST_CONTRADICTED, contradicted_text
+from onboard.estimation.policy import FARTHEST_SIZE, HALF, INTERVAL, LIKELY_SIZE, MOST_CONTRADICTED, contradicted_text
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
 from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
-from onboard.ground.identify.replay.feed import PAUSE
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
 from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
@@ -27,7 +26,7 @@ from onboard.identification.corrections import contradicted, doubtful, misfit_te
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import Evidence, standings_of, verdict
-from onboard.identification.windows import SHORTEST, WINDOW_s, against
+from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s, against
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -156,7 +155,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
     level = values / (own.force_N if unit == b"N" else 1.0)
     if (level < 0.0).any():
         raise ChannelError(f"{log.path}: {name} is negative; a thruster only pushes: give each a column")
-    if level.max() > 1.5:
+    if level.max() > 1.0 + FARTHEST_SIZE * LIKELY_SIZE:
         text = f"{name} reaches {level.max():.3g} times its force"
         raise ChannelError(f"{log.path}: {text}; give its unit and scale in the mapping, or its force_N")
     return Valve(time_s, level)

@@ -15,7 +15,7 @@ from onboard import config
 from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, gaps
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import HALF, contradicted_text
 from onboard.estimation.recursive.rls import Observability
@@ -246,7 +246,7 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
             numbers |= {"capture_contradicted": 0, "release_contradicted": before}
             before, number = number, numbers.get(change.kind, number)
     which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
-    joined = (np.diff(which) == 0) & (np.abs(np.diff(ticks.time_s) / period_s - 1.0) < 0.5)
+    joined = (np.diff(which) == 0) & ~gaps(ticks.time_s, period_s)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]
     return [TickRun(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
 

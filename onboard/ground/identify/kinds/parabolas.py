@@ -20,14 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from onboard.config.bases.parabola import Parabola
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, gaps
 from onboard.estimation.free_fall import is_free
-from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s, Ticks
 
 BUMP_S = 0.9  # longest contact that is no catch
 _STEADY_S = 0.3  # in which the specific force is averaged to tell free fall of the aircraft
 _SHORTEST_LOW_S = 4.0  # of the aircraft's free fall
-_MOVING_rad_s = 4e-3  # of any joint
 _PAUSE_S = 0.4  # between strokes of one motion
 
 
@@ -150,14 +149,14 @@ def _low(force: FloatArray, period_s: float, limit: float) -> BoolArray:
 def _free(ticks: Ticks, period_s: float, settings: Parabola) -> BoolArray:
     """Free fall of the vehicle, tick by tick, in each stretch of time without a gap."""
     found = np.zeros(len(ticks.time_s), np.bool_)
-    apart = np.flatnonzero(np.abs(np.diff(ticks.time_s) / period_s - 1.0) > 0.5) + 1
+    apart = np.flatnonzero(gaps(ticks.time_s, period_s)) + 1
     for one in np.split(np.arange(len(found)), apart):
         found[one] = is_free(ticks.measured[one, 3:6], ticks.sigma[one, 3:6], period_s, settings.free_m_s2)
     return found
 
 
 def _moving(dq: FloatArray) -> BoolArray:
-    return np.asarray((np.nan_to_num(np.abs(dq)) > _MOVING_rad_s).any(axis=1), np.bool_)
+    return np.asarray((np.nan_to_num(np.abs(dq)) > RESTS_rad_s).any(axis=1), np.bool_)
 
 
 def _motions(moving: BoolArray, time_s: FloatArray, period_s: float) -> tuple[TickSpan, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import records
-from onboard.ground.identify.replay.feed import PAUSE
+from onboard.identification.windows import PAUSE
 from onboard.recording.reader import LogReader
 
 SHORT_PART, SHORT_EACH = 0.02, 2

@@ -22,7 +22,6 @@ from onboard.recording.reader import LogReader
 AT_ONCE_s = 1.0
 """Of the log's time, in a step, where only its ticks or rows are asked for: a quarter of the time of 50 ms."""
 _LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
-PAUSE = 3.0  # periods between samples, from which on some are missing
 FARTHEST_TIMES = 10.0
 _SPREAD = 50  # samples between those whose times are compared: some arrive in groups
 _FEWEST_ROWS = 2 * _SPREAD

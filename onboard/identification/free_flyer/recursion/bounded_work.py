@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.estimation.arrays import gaps
 from onboard.identification.free_flyer.prediction.joint_gaps import JointGaps
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
@@ -102,12 +103,9 @@ class BoundedWork(ABC):
 
     def _take(self, ticks: Ticks) -> None:
         """Take ticks up to the next filter step or window, and do or begin it; the others go back to the inbox."""
-        if len(self._pending.time_s):
-            late_s = ticks.time_s[0] - self._pending.time_s[-1] - self._period_s
-            if abs(late_s) > 0.5 * self._period_s:
-                self._interrupted()
-        apart_s = ticks.time_s[1:] - ticks.time_s[:-1]
-        breaks = (np.abs(apart_s / self._period_s - 1.0) > 0.5).nonzero()[0]
+        if gaps(np.append(self._pending.time_s[-1:], ticks.time_s[:1]), self._period_s).any():
+            self._interrupted()
+        breaks = gaps(ticks.time_s, self._period_s).nonzero()[0]
         last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
         self._pending = self._pending.and_then(ticks.part(slice(0, last)))
         if last < len(ticks.time_s):

@@ -27,7 +27,6 @@ from onboard.identification.rows.stated_errors.considered import Considered
 
 MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
-_STILL = 0.01  # of the mean of what the drawing makes of the motion: a block in which nothing moves
 
 
 class InstrumentFit(NamedTuple):
@@ -39,7 +38,6 @@ class InstrumentFit(NamedTuple):
     unexplained: float  # share of these readings, bias aside, that the estimate leaves over; of rows that read nothing,
     # of what the known bodies alone leave over
     response: float  # rms of the readings over that predicted from the URDF; NaN for rows that read nothing
-    still: float  # part of what is left over that was read while, by the encoders, nothing moved
     step: GainError | None  # None where there is not enough to be cut
     gain: GainError | None = None  # its error against the others; None where no other tells of it
 
@@ -85,7 +83,7 @@ def instrument_fits(
     ]
     another_s = max(begins) if recorded_apart else np.inf  # when the second of the recordings begins
     for number, name in enumerate(blocks.instruments):
-        parts, squares, worst, lost = list[Blocks](), np.zeros(4), (False, 0.0, 0.0), np.zeros(2)
+        parts, squares, worst = list[Blocks](), np.zeros(4), (False, 0.0, 0.0)
         for held, own in blocks.parts:
             if own != number:
                 continue
@@ -95,7 +93,6 @@ def instrument_fits(
             readings = np.abs(of_rows[:, -2, -2])
             sums = np.array([rows, signal.sum(), as_drawn.sum(), readings.sum()])
             squares += sums
-            lost += left[as_drawn < _STILL * as_drawn.mean()].sum(), left.sum()
             whole = left.sum() + sums[1] if sums[3] else _sums(of_rows + noise, known).sum()
             unexplained = min(1.0, np.sqrt(left.sum() / whole)) if whole else 1.0
             of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
@@ -110,8 +107,7 @@ def instrument_fits(
             beside = [part for (_, own), part in judged.items() if own != number]
             gains = GainTests(parts, beside, body, every) if parts else None
             step, gain = (gains.step(another_s), gains.error()) if gains else (None, None)
-            still = float(lost[0] / lost[1]) if lost[1] else 0.0
-            found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), still, step, gain))
+            found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), step, gain))
     return tuple(found)
 
 
@@ -153,8 +149,6 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > MISFIT_PART and fit.unexplained > MOSTLY * MOST_UNEXPLAINED:
         said = f"{fit.unexplained:.0%} of what {name} reads is left over"
-        if fit.still > MOSTLY:
-            said += ", most of it where no joint moves: is an encoder stuck?"
         (against if fit.unexplained > MOST_UNEXPLAINED else doubts).append(said)
     step = fit.step
     if step is not None and step.is_significant and not step.between:

@@ -58,7 +58,6 @@ class Stated(NamedTuple):
 FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
 _SETTLED = 0.02  # relative change of a width in a step
-_NAMED = 1.05  # times as wide, from which on it is said of others of the kind: two digits show it
 
 
 class Taken(NamedTuple):
@@ -284,7 +283,7 @@ class StatedSigmas:
 
 def others(width: FloatArray) -> str:
     """What is said of others of a kind, (n,) times as wide as stated; empty where two digits show none wider."""
-    wider = width[width >= _NAMED]
+    wider = width[np.round(width, 1) > 1.0]
     return f", and {len(wider)} like it {wider.min():.2g} times or more" if len(wider) else ""
 
 

@@ -48,7 +48,7 @@ def test_honest_rows_have_nothing_against_them(rng):
 )
 def test_how_much_is_left_over_and_how_little_is_read_decides(misfit, unexplained, response, reasons):
     """Refused, and doubted; nothing by what may be noise."""
-    fit = InstrumentFit("cell", 1000.0, misfit, unexplained, response, 0.0, None)
+    fit = InstrumentFit("cell", 1000.0, misfit, unexplained, response, None)
     against, doubts = judged_fit(fit, 1.0)
     assert (len(against), len(doubts)) == reasons
 
