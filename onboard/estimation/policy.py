@@ -89,11 +89,6 @@ def sigmas(chance: float) -> float:
     return float(-ndtri(0.5 * chance))
 
 
-def chance_text(chance: float) -> str:
-    """``chance 3e-05``; one that is smaller than any number here is ``chance below 1e-300``."""
-    return f"chance {chance:.0e}" if chance > 1e-300 else "chance below 1e-300"
-
-
 def contradicted_text(share: float, of: str = "rows", then: str = "check the sensors against each other") -> str:
     """Why no answer is to be used where such a share of readings contradicts the others; empty where few do.
 

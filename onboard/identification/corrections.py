@@ -7,7 +7,9 @@ and doubted as often as any other (:mod:`onboard.estimation.policy`).
 
 The estimate of a correction about zero has the sigma ``(prior variance - posterior variance)^(1/2)`` (Hausman,
 Econometrica 46, 1978). Data that tell less of it than its stated sigma move it by less than that sigma, however wrong
-it is; in sigmas of what they tell, it is seen.
+it is; in sigmas of what they tell, it is seen. Where the noise's variance is f times what the fit took it for, and g
+the share of its stated variance that the data take away, its variance is ``g^2 + f g (1 - g)`` of what is stated
+(derived here).
 
 An error without a parameter, as slosh, is taken up by many corrections at once, none of them far. Together, in stated
 sigmas, they have the covariance A = I - posterior, and ``z' A^-1 z`` is chi-squared. Data tell next to nothing of most
@@ -100,9 +102,16 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     return Together(squares * mean / square, mean * mean / square)
 
 
-def expected_sigma(prior: FloatArray, posterior: FloatArray) -> FloatArray:
-    """Sigma that a correction's estimate about zero should have, from its variances: this module's head."""
-    return np.asarray(np.sqrt(np.maximum(prior - posterior, _LEAST_TOLD * prior)), np.float64)
+def expected_sigma(prior: FloatArray, posterior: FloatArray, wider: float = 1.0) -> FloatArray:
+    """Sigma that a correction's estimate about zero should have, from its variances: this module's head.
+
+    Args:
+        prior: (k,) as stated.
+        posterior: (k,) after the fit.
+        wider: factor on the noise's variance.
+    """
+    told = np.maximum(prior - posterior, _LEAST_TOLD * prior)
+    return np.asarray(np.sqrt(told * (wider + (1.0 - wider) * told / prior)), np.float64)
 
 
 def too_large(corrections: Mapping[str, float]) -> tuple[str, ...]:

@@ -17,7 +17,6 @@ WINDOW_s = 5.0  # of a state that begins anew: what a guess is off by grows in i
 PAUSE = 3.0  # usual steps of time: across a longer one samples are missing, and a body has moved by itself
 SHORTEST = 20  # ticks or poses in one
 STAGES_s = (4.0,)  # parts of a segment or run that are fitted first: from a poor guess most fits of all get nowhere
-LEAST_TOLD = 0.01  # least share of a stated variance that the data must take away
 
 
 class Part(NamedTuple):
@@ -88,18 +87,3 @@ def judged(found: Fit, parts: Iterable[Part], p: int, sensors: int) -> WindowedF
     scatter = noise_scale(np.array(normal), np.array(scores), found.covariance[:p, :p])
     share = squares / np.maximum(rows * (1.0 - found.x.size / rows.sum()), 1.0)
     return WindowedFit(found, p, tuple(share.tolist()), scatter, int(rows.sum()))
-
-
-def against(corrections: FloatArray, left: FloatArray, wider: float = 1.0) -> FloatArray:
-    """Corrections in sigmas of what the data tell of each, (k,).
-
-    With g the share of its stated variance that the data take away, and f the factor on the noise's variance, an
-    estimate about zero has the variance ``g^2 + f g (1 - g)`` if the error is as stated (derived here).
-
-    Args:
-        corrections: in stated sigmas, (k,).
-        left: their variances after the fit, in stated ones, (k,).
-        wider: f.
-    """
-    g = np.maximum(1.0 - left, LEAST_TOLD)
-    return np.asarray(corrections / np.sqrt(g * g + wider * g * (1.0 - g)), np.float64)

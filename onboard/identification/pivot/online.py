@@ -11,14 +11,14 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import AGAIN
-from onboard.identification.corrections import contradicted, doubtful, misfit_texts, together
+from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.table.run import TableRun
-from onboard.identification.windows import WindowedFit, against
+from onboard.identification.windows import WindowedFit
 from onboard.regressor.signals import Signals
 
 _FIRST_TICKS = 200  # of the first fit
@@ -184,14 +184,14 @@ class PivotRun(TableRun):
             return Findings()
         x, sigma = self.found.fit.x[BODY : self.found.globals], self.model.sigma[BODY:]
         left = self.found.fit.covariance[BODY : self.found.globals, BODY : self.found.globals] / np.outer(sigma, sigma)
-        in_told = against(x / sigma, np.diag(left), self.found.wider)
+        in_told = x / sigma / expected_sigma(np.ones(len(x)), np.diag(left), self.found.wider)
         each, of_all = dict(zip(self.model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
         scales = np.flatnonzero(self._scales)
         if scales.size:
             mean = sigma[scales] / np.linalg.norm(sigma[scales])  # of all wheels, one stated sigma
             own = float(mean @ left[np.ix_(scales, scales)] @ mean)
             common = float(x[scales].sum() / np.linalg.norm(sigma[scales]))
-            of_all["the wheels' inertia"] = float(against(np.array([common]), np.array([own]))[0])
+            of_all["the wheels' inertia"] = float(common / expected_sigma(np.ones(1), np.array([own]))[0])
         all_of_them = together(x / sigma, left)
         bad, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
         doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]

@@ -7,6 +7,8 @@ from scipy.special import chdtrc
 
 from onboard.estimation.arrays import FloatArray
 
+_DETERMINED = 1e-6  # share of a score's information that is its own, in a direction that counts: less is rounding
+
 
 @dataclass(frozen=True)
 class Chance:
@@ -21,27 +23,15 @@ class Chance:
         return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
 
 
-def score_of(gradient: FloatArray, own: FloatArray, spread: FloatArray, least: float) -> tuple[float, int]:
-    """:func:`squares_of` of a score, (k,), with covariance ``spread``, in units of its own information's roots.
+def score_of(gradient: FloatArray, own: FloatArray, spread: FloatArray) -> tuple[float, int]:
+    """``g' S^-1 g`` over the principal directions of S that are not rounding, and their number, in units of ``own``.
 
     Args:
-        gradient: the score.
+        gradient: g, the score, (k,).
         own: its information, (k, k).
-        spread: covariance, of the same unit.
-        least: variance, as a share of the information.
+        spread: S, its covariance.
     """
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    return squares_of(gradient / scale, spread / np.outer(scale, scale), least)
-
-
-def squares_of(gap: FloatArray, covariance: FloatArray, least: float) -> tuple[float, int]:
-    """``g' S^-1 g`` over the principal directions of S with a variance above ``least``, and their number.
-
-    Args:
-        gap: g, (k,).
-        covariance: S of g, (k, k), scaled so that its largest variances are about one.
-        least: variance.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    told = values > least
-    return float(((vectors[:, told].T @ gap) ** 2 / values[told]).sum()), int(np.count_nonzero(told))
+    values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
+    told = values > _DETERMINED
+    return float(((vectors[:, told].T @ (gradient / scale)) ** 2 / values[told]).sum()), int(np.count_nonzero(told))

@@ -25,7 +25,6 @@ from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
 
 PAYLOAD = slice(0, 10)
-DETERMINED = 1e-6  # share of a part's information about the payload that is its own, in a direction that counts
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) 
         noise[block.columns] += block.noise
     doubt = across @ found.correction.sigma - NOISE_SIGMA * noise[PAYLOAD]
     S += np.outer(doubt, doubt)
-    squares, freedom = score_of(some.gradient[PAYLOAD], own, S, DETERMINED)
+    squares, freedom = score_of(some.gradient[PAYLOAD], own, S)
     return Difference(squares / max(1.0, found.misfit), freedom, part)
 
 

@@ -26,7 +26,7 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import NormalEquations, misfit_by_instrument, total_of
 from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.parts import DETERMINED, PAYLOAD
+from onboard.identification.whole_flight.parts import PAYLOAD
 
 _HALVINGS = 6
 
@@ -203,5 +203,5 @@ def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Disagreement:
     """Score test: does the payload of one flight differ, all else common?"""
     across = part.S[PAYLOAD]
     own = across[:, PAYLOAD]
-    squares, freedom = score_of(part.s[PAYLOAD], own, own - across @ P @ across.T, DETERMINED)
+    squares, freedom = score_of(part.s[PAYLOAD], own, own - across @ P @ across.T)
     return Disagreement(squares / max(1.0, misfit), freedom)

@@ -1,9 +1,7 @@
 """What a fit of a flight says of links and joints, and what it leans on of all that is stated.
 
-Under the stated covariance C the fitted corrections c, of covariance P, are ``c ~ N(0, C - P)`` (the difference of an
-efficient estimate and its prior; Hausman, Econometrica 46, 1978). Errors of links and joints are tested together in the
-directions that the flight tells of, which are some seventy of more than a hundred. What is wrong of one part or one
-instrument is a hypothesis of its own (:mod:`~onboard.identification.whole_flight.witnesses`).
+Errors of links and joints are tested together (:func:`onboard.identification.corrections.together`). What is wrong of
+one part or one instrument is a hypothesis of its own (:mod:`~onboard.identification.whole_flight.witnesses`).
 """
 
 import numpy as np
@@ -12,27 +10,24 @@ from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.payload import body_jacobian
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import inverse_of
+from onboard.identification.corrections import Together, together
 from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
 from onboard.identification.leaning import Causes
 from onboard.identification.whole_flight.blocks import FlightFit, total_of
-from onboard.identification.whole_flight.chance import Chance, squares_of
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.windows import LEAST_TOLD
 
 
-def bodies_of(flight: WholeFlight, found: FlightFit) -> Chance:
+def bodies_of(flight: WholeFlight, found: FlightFit) -> Together:
     """Errors of links, joints and thrusters together, in the directions that the flight tells of.
 
     Args:
         flight: that was fitted.
         found: its fit.
     """
-    at = flight.of_bodies
-    sigma, both = flight.sigma[at], np.ix_(at, at)
-    expected = inverse_of(flight.prior_information[both]) - found.fit.covariance[both]
-    doubt = found.correction.sigma[at]
-    told = (expected + np.outer(doubt, doubt)) / np.outer(sigma, sigma)
-    return Chance(*squares_of(found.fit.x[at] / sigma, told, LEAST_TOLD))
+    at, doubt = flight.of_bodies, found.correction.sigma[flight.of_bodies]
+    whiten = np.linalg.cholesky(flight.prior_information[np.ix_(at, at)]).T
+    left = whiten @ (found.fit.covariance[np.ix_(at, at)] - np.outer(doubt, doubt)) @ whiten.T
+    return together(whiten @ found.fit.x[at], left)
 
 
 def bound_of(flight: WholeFlight, found: FlightFit) -> FloatArray:

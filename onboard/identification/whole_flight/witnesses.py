@@ -24,7 +24,7 @@ from onboard.dynamics.model.payload import body_estimate, body_jacobian
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.maximum_likelihood import ROUNDS
-from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, REFUSE, chance_text, of_each, tails
+from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, REFUSE, of_each, tails
 from onboard.identification.corrections import contradicted, expected_sigma, misfit_texts, too_large
 from onboard.identification.evidence.bank import Bank, Weighed
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE
@@ -120,12 +120,9 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
     larger, large = misfit_texts(found.by_instrument.items())
     against = [one.text for one in of_parts if one.chance < refused] + larger
     doubts = [one.text for one in of_parts if refused <= one.chance < doubted] + large
-    bodies = bodies_of(flight, found)
-    if bodies.chance < of_each(DOUBT):
-        said = f"links and joints are not as stated together ({chance_text(bodies.chance)})"
-        (against if bodies.chance < of_each(REFUSE) else doubts).append(said)
-    corrections, of_bodies = _corrections(flight, found), _by_the_data(flight, found)
-    against += [*contradicted(of_bodies), *too_large(corrections)]
+    bodies, corrections, of_bodies = bodies_of(flight, found), _corrections(flight, found), _by_the_data(flight, found)
+    against += [*bodies.refused(), *contradicted(of_bodies), *too_large(corrections)]
+    doubts += bodies.doubted()
     ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are hypotheses
     own = {k: sigmas for k, sigmas in corrections.items() if k not in of_bodies and not k.endswith(ends)}
     return Tested(flight, found, own, of_bodies, Findings(tuple(against), tuple(doubts)))

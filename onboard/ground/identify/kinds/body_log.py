@@ -22,11 +22,11 @@ from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
-from onboard.identification.corrections import contradicted, doubtful, misfit_texts, together
+from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.verdict import Evidence, standings_of, verdict
-from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s, against
+from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -218,19 +218,18 @@ def _findings(model: BodyModel, fit: BodyFit) -> Findings:
     at = [k for k, name in enumerate(names) if k >= BODY and name != "delay"]
     at = [0, *at] if model.weighed else at
     sigma = model.sigma[at]
-    left = P[np.ix_(at, at)] / np.outer(sigma, sigma)
-    in_told = against(x[at] / sigma, np.diag(left), found.wider)
+    in_told = x[at] / expected_sigma(sigma**2, np.diag(P)[at], found.wider)
     each = {names[k]: float(one) for k, one in zip(at, in_told, strict=True)}
     scales = [k for k, name in enumerate(names) if name.startswith("scale_")]
     if scales and model.weighed:
         weight = np.array([float(name == "common_force") for name in model.names])
         weight[scales] = 1.0 / len(scales)
-        whole = np.linalg.norm(weight * model.sigma)
-        own = weight @ P[: len(weight), : len(weight)] @ weight / whole**2
-        z = against(np.array([weight @ x[: len(weight)] / whole]), np.array([own]))
-        each["the thrusters' common force, the mass or the tracker's lengths"] = float(z[0])
+        whole, own = (weight * model.sigma) @ (weight * model.sigma), weight @ P[: len(weight), : len(weight)] @ weight
+        each["the thrusters' common force, the mass or the tracker's lengths"] = float(
+            weight @ x[: len(weight)] / expected_sigma(whole, own)
+        )
     each |= dict(_by_window(model, fit))
-    of_all = together(x[at] / sigma, left)
+    of_all = together(x[at] / sigma, P[np.ix_(at, at)] / np.outer(sigma, sigma))
     bad = list(contradicted(each) or of_all.refused())
     if not fit.settled:
         bad.append(
@@ -248,7 +247,7 @@ def _by_window(model: BodyModel, fit: BodyFit) -> Iterator[tuple[str, float]]:
     P, x = np.diag(fit.found.fit.covariance), fit.found.fit.x
     for k, start_s in enumerate(fit.start_s.tolist()):
         own = slice(fit.found.globals + STATE * k + STATE - 3, fit.found.globals + STATE * (k + 1))
-        sigmas = against(x[own] / model.steady_sigma, P[own] / model.steady_sigma**2, fit.found.wider)
+        sigmas = x[own] / expected_sigma(model.steady_sigma**2, P[own], fit.found.wider)
         which = int(np.abs(sigmas).argmax())
         what = ("push along x", "push along y", "turning")[which]
         yield f"the {what} besides the thrusters, {start_s:.0f} to {start_s + WINDOW_s:.0f} s", float(sigmas[which])

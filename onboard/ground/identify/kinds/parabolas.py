@@ -26,7 +26,6 @@ from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s, Tick
 
 BUMP_S = 0.9  # longest contact that is no catch
 _STEADY_S = 0.3  # in which the specific force is averaged to tell free fall of the aircraft
-_SHORTEST_LOW_S = 4.0  # of the aircraft's free fall
 _PAUSE_S = 0.4  # between strokes of one motion
 
 
@@ -98,7 +97,7 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[ParabolaRun]:
     at = np.array(stages(ticks, period_s, settings))
     joints = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
     found: list[ParabolaRun] = []
-    fall = [one for one in _spans(at != Stage.SECURED) if (one.stop - one.start) * period_s >= _SHORTEST_LOW_S]
+    fall = [one for one in _spans(at != Stage.SECURED) if (one.stop - one.start) * period_s >= settings.shortest_s]
     for number, low in enumerate(fall):
         flying = (at == Stage.FREE) | (at == Stage.MOTION)
         flying[: low.start], flying[low.stop :] = False, False
