@@ -38,8 +38,8 @@ class OnlineIdentifier(Protocol):
     def finish(self) -> None:
         """Nothing more arrives: do what updates have left to be done later."""
 
-    def estimate(self, level: float = 0.95) -> Estimate:
-        """State and quantities with two-sided intervals of this level."""
+    def estimate(self) -> Estimate:
+        """State and quantities with two-sided 95 % intervals."""
 
     def triangle(self) -> FloatArray:
         """Square-root information ``[R z]``, (s, s); zeros where there is none."""

@@ -337,7 +337,5 @@ def test_impossible_questions_are_refused():
     rls.prior(np.zeros(2), np.ones(2))
     with pytest.raises(RowError, match="considered"):
         JackknifeEstimate(rls, BlockScores(2, 1.0), [0.1])
-    with pytest.raises(RowError, match="level"):
-        JackknifeEstimate(rls, BlockScores(2, 1.0), level=1.0)
     with pytest.raises(RowError, match="weights"):
         JackknifeEstimate(rls, BlockScores(2, 1.0)).combination(np.eye(3))

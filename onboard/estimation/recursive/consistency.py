@@ -45,7 +45,7 @@ from scipy.special import stdtrit
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import RowError
-from onboard.estimation.policy import DOUBT, of_each, sigmas
+from onboard.estimation.policy import DOUBT, HALF, INTERVAL, of_each, sigmas
 from onboard.estimation.recursive.blocks import TimeBlocks
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
@@ -232,19 +232,17 @@ class JackknifeEstimate:
         rls: the estimator, after its rows.
         blocks: the same rows by blocks.
         considered_sigma: standard deviations of the considered parameters, (k,); or a root of their covariance, (k, k).
-        level: coverage of the two-sided intervals.
         noise_sigma: relative standard deviation of the stated power of the regressor's noise.
         scale: of the rows' noise, by the scatter of all blocks and directions, which is known better than that of one:
             no variance is below it, and its degrees of freedom count.
 
     Attributes:
         mean: the estimate, (p,), corrected for regressor noise.
-        level: as given.
         floored: whether the formal covariance is a lower bound.
 
     Raises:
         SingularError: as :meth:`SquareRootRls.solve`.
-        RowError: wrong number of considered sigmas, or a level outside (0, 1).
+        RowError: wrong number of considered sigmas.
     """
 
     _scale: NoiseScale | None = None
@@ -255,12 +253,11 @@ class JackknifeEstimate:
         rls: SquareRootRls,
         blocks: BlockScores,
         considered_sigma: ArrayLike = (),
-        level: float = 0.95,
         noise_sigma: float = NOISE_SIGMA,
         scale: NoiseScale | None = None,
     ) -> None:
-        sigma = self._checked(rls, considered_sigma, level)
-        self.level, self.floored = level, True
+        sigma = self._checked(rls, considered_sigma)
+        self.floored = True
         self._scale = scale
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         self.mean, plain, T, R, noise, x, keep, signal, A0, shared = _corrected(rls, blocks)
@@ -282,7 +279,7 @@ class JackknifeEstimate:
         self._shares = self._root @ H @ self._root.T  # (b, p, p) of the formal covariance, by block
 
     @staticmethod
-    def _checked(rls: SquareRootRls, considered_sigma: ArrayLike, level: float) -> FloatArray:
+    def _checked(rls: SquareRootRls, considered_sigma: ArrayLike) -> FloatArray:
         sigma = np.atleast_1d(np.asarray(considered_sigma, np.float64))
         k = rls.considered
         if (
@@ -291,8 +288,6 @@ class JackknifeEstimate:
             or (sigma.ndim == 1 and (sigma < 0.0).any())
         ):
             raise RowError(f"{k} considered parameters need as many sigmas, none negative, or a root ({k}, {k})")
-        if not 0.0 < level < 1.0:
-            raise RowError(f"the level is {level}; it must be between 0 and 1")
         return sigma
 
     def instead(self, other: Instead) -> Self:
@@ -371,9 +366,8 @@ class JackknifeEstimate:
             variance = np.maximum(variance, self._least * self.formal_variance(w))
         if self._instead is not None:
             variance, common = self._instead.covering(w) ** 2, np.zeros_like(common)
-        t = stdtrit(freedom, 0.5 + 0.5 * self.level)
-        z = stdtrit(np.inf, 0.5 + 0.5 * self.level)
-        half = np.sqrt(t**2 * variance + z**2 * common)
+        t = stdtrit(freedom, 0.5 + 0.5 * INTERVAL)
+        half = np.sqrt(t**2 * variance + HALF**2 * common)
         return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half)
 
 

@@ -159,9 +159,9 @@ class RecursiveInstrumental(RecursiveLeastSquares):
         information, right = self.rls.prior_equations()
         return _solved(sums[:, p : 2 * p] + information, sums[:, -1] + right)
 
-    def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> "InstrumentalEstimate":
+    def block_jackknife(self, considered_sigma: ArrayLike = ()) -> "InstrumentalEstimate":
         """The estimate with its block-jackknife covariance."""
-        found = InstrumentalEstimate(self.rls, self.instruments, considered_sigma, level)
+        found = InstrumentalEstimate(self.rls, self.instruments, considered_sigma)
         found.floored |= self._without_noise
         return found
 
@@ -176,22 +176,19 @@ class InstrumentalEstimate(JackknifeEstimate):
         rls: least squares, source of the prior.
         blocks: the rows and their instruments.
         considered_sigma: (k,), or a root (k, k).
-        level: coverage of the two-sided intervals.
 
     Raises:
         SingularError: rows and prior do not determine the estimate.
-        RowError: wrong number of considered sigmas, or a level outside (0, 1).
+        RowError: wrong number of considered sigmas.
     """
 
-    def __init__(
-        self, rls: SquareRootRls, blocks: InstrumentBlocks, considered_sigma: ArrayLike = (), level: float = 0.95
-    ) -> None:
-        sigma = self._checked(rls, considered_sigma, level)
+    def __init__(self, rls: SquareRootRls, blocks: InstrumentBlocks, considered_sigma: ArrayLike = ()) -> None:
+        sigma = self._checked(rls, considered_sigma)
         H, g, G = blocks.cross, blocks.moment, blocks.square
         information, right = rls.prior_equations()
         A, b = H.sum(axis=0) + information, g.sum(axis=0)
         inverse = np.asarray(_solved(A, np.eye(len(A))), np.float64)
-        self.level, self.floored = level, blocks.count < _FEW_BLOCKS
+        self.floored = blocks.count < _FEW_BLOCKS
         self.mean = inverse @ (b[:, -1] + right)
         self._root = inverse @ half_of(G.sum(axis=0) + information)
         causes = inverse @ b[:, :-1]

@@ -251,6 +251,6 @@ class RecursiveLeastSquares:
         """Least squares estimate corrected for known regressor noise, (p,): the mean that intervals are about."""
         return corrected_mean(self.rls, self.blocks)
 
-    def block_jackknife(self, considered_sigma: ArrayLike = (), level: float = 0.95) -> JackknifeEstimate:
+    def block_jackknife(self, considered_sigma: ArrayLike = ()) -> JackknifeEstimate:
         """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""
-        return JackknifeEstimate(self.rls, self.blocks, considered_sigma, level)
+        return JackknifeEstimate(self.rls, self.blocks, considered_sigma)

@@ -11,11 +11,11 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import composite_functional
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
+from onboard.estimation.policy import MOSTLY
 from onboard.identification.body.fit import BodyModel
 from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
 from onboard.identification.body.valves import Valve
 
-_LEAST_ON_TABLE = 0.5  # of a thruster's force: less is hardly one that moves the body on the table
 _OF_BODY = {
     "mass": "body.mass_sigma",
     "common_force": "body.common_force_sigma",
@@ -63,7 +63,7 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
     for name, thruster in own.items():
         R_BF, p_BF = model.pose_in_base(thruster.frame)
         axis = R_BF @ np.array(thruster.axis) / np.linalg.norm(thruster.axis)
-        if np.hypot(*axis[:2]) < _LEAST_ON_TABLE:
+        if np.hypot(*axis[:2]) < MOSTLY:
             raise SignalError(f"device.{name}: its axis stands on the table's plane; give the direction of its force")
         places.append(p_BF[:2])
         pushes.append(complex(*axis[:2]))

@@ -7,9 +7,11 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import LEAST_WEIGHT, sigmas, tails
+from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, sigmas, tails
 
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
+REPORTED = *tails(1.0 - INTERVAL), *tails(LEAST_WEIGHT)
+"""Probabilities of less than the ends of the interval that is reported, and of the 99.9 % one."""
 _HALVINGS = 12  # of what a quantile lies in
 
 

@@ -10,10 +10,10 @@ so long.
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import HALF
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.before_capture import (
     ANNOUNCED_s,
@@ -96,11 +96,10 @@ class CapturedBody:
         else:
             self._suspected = None
 
-    def quantities(self, level: float, *, known: bool) -> tuple[QuantityEstimate, ...]:
+    def quantities(self, *, known: bool) -> tuple[QuantityEstimate, ...]:
         """Velocity of its centre of mass against the gripper, rate in space, gripper's axes; none before a capture.
 
         Args:
-            level: of the intervals.
             known: the payload is.
         """
         if not self._once:
@@ -110,11 +109,11 @@ class CapturedBody:
         if self._told is None or not known:
             return _unknown(self._failure if known and self._failure else "the payload is not known")
         values = np.concatenate([self._told.velocity_m_s, self._told.rate_rad_s])
-        shrinkage, z = self._told.sigma / _EXPECTED, float(ndtri(0.5 + 0.5 * level))
+        shrinkage = self._told.sigma / _EXPECTED
         found = []
         for name, unit, value, sigma, share in zip(NAMES, UNITS, values, self._told.sigma, shrinkage, strict=True):
             if share <= SUPPORTED_SHRINKAGE:
-                told = float(value), float(sigma), float(value - z * sigma), float(value + z * sigma)
+                told = float(value), float(sigma), float(value - HALF * sigma), float(value + HALF * sigma)
                 found.append(QuantityEstimate(name, unit, *told, float(share), True, ""))
             else:
                 found.append(

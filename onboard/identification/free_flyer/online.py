@@ -14,11 +14,11 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray, count_refused, none_refused
-from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text, tails
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, misfit_text, too_large
 from onboard.identification.evidence.bank import Weighed
-from onboard.identification.evidence.mixture import Known, Mixture
+from onboard.identification.evidence.mixture import REPORTED, Known, Mixture
 from onboard.identification.free_flyer.before_capture import Payload
 from onboard.identification.free_flyer.captured_body import CapturedBody
 from onboard.identification.free_flyer.held_against import Corrections, HeldAgainst
@@ -168,13 +168,13 @@ class MotionIdentifier:
         self.rows_used = 6 * self.ekf.ticks_used
         self.refused[GateReason.RESIDUAL] += 6 * (self.ekf.glitches - glitches)
 
-    def estimate(self, level: float = 0.95) -> Estimate:
+    def estimate(self) -> Estimate:
         """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes.
 
         An estimate that no body has is moved to the most likely one that can exist. Noise that is large against a light
         payload's inertia makes that one heavier: how far a quantity was moved is a part of its sigma.
         """
-        nothing, chances = np.full(10, np.nan), np.array([*tails(1.0 - level), *tails(LEAST_WEIGHT)])
+        nothing, chances = np.full(10, np.nan), np.array(REPORTED)
         mean, sigma, body, spread, shrinkage = nothing, nothing, nothing, nothing, nothing
         ends, z = np.full((4, 10), np.nan), ndtri(chances)[:, None]
         ekf = self.ekf
@@ -223,7 +223,7 @@ class MotionIdentifier:
             tuple(quantities),
             self.rows_used,
             dict(self.refused),
-            self._captured.quantities(level, known=self._answers),
+            self._captured.quantities(known=self._answers),
         )
 
     @property

@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import AGAIN
+from onboard.estimation.policy import AGAIN, HALF, INTERVAL
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes, Contribution
@@ -127,23 +127,22 @@ class PivotRun(TableRun):
         covariance = self.found.wider * along[:, :BODY] @ self._weights.T
         return PivotQuantities(self._weights @ body, covariance, along, self.found.noise.freedom)
 
-    def estimate(self, level: float = 0.95) -> Estimate:
+    def estimate(self) -> Estimate:
         """State and quantities; unsupported before there is a fit."""
         found, p = self.answers(), len(self.parameter_names)
         numbers, prior = np.full((5, p), np.nan), self.model.sigma[:BODY]
         quantities = [(np.nan,) * 5] * len(self.quantity_names)
         leans = [""] * len(quantities)
         if found is not None and self.found is not None:
-            times = float(stdtrit(found.freedom, 0.5 + 0.5 * level) / ndtri(0.5 + 0.5 * level))
-            half = float(ndtri(0.5 + 0.5 * level))
+            times = float(stdtrit(found.freedom, 0.5 + 0.5 * INTERVAL) / HALF)
             wide = np.sqrt(self._weights**2 @ prior**2)
             sigma = times * np.sqrt(np.diag(found.covariance))
-            rows = np.array([found.mean, sigma, found.mean - half * sigma, found.mean + half * sigma, sigma / wide])
+            rows = np.array([found.mean, sigma, found.mean - HALF * sigma, found.mean + HALF * sigma, sigma / wide])
             quantities = [tuple(one) for one in rows.T.tolist()]
             leans = list(self._causes.said(self._causes.effects(found.along), sigma, np.abs(found.mean)))
             body = self.model.body(self.found.fit.x)
             own = times * np.sqrt(self.found.wider * np.diag(self.found.fit.covariance)[:BODY])
-            numbers[:, 1:] = [body, own, body - half * own, body + half * own, own / prior]
+            numbers[:, 1:] = [body, own, body - HALF * own, body + HALF * own, own / prior]
         supported = np.asarray(numbers[4] <= SUPPORTED_SHRINKAGE, np.bool_)
         note = self.failure or "not determined by the data so far"
         made = [

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import (
@@ -25,6 +24,7 @@ from onboard.dynamics.model.inertia import (
     take_away,
 )
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import HALF
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.quantities import Quantity
 from onboard.identification.rows.identifier import Identifier
@@ -166,8 +166,7 @@ def without_carrier(
     rows = whole.jackknife.combination(J_x @ whole.weights)
     load = _load(whole.body, carrier, y, 1.0)
     found = principal_moments(load)
-    z = ndtri(0.5 + 0.5 * whole.jackknife.level)
-    half = np.sqrt((rows.high - rows.mean) ** 2 + z**2 * other)
+    half = np.sqrt((rows.high - rows.mean) ** 2 + HALF**2 * other)
     return load, PrincipalMoments(found, np.sqrt(rows.sigma**2 + other), found - half, found + half)
 
 

@@ -15,7 +15,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.policy import contradicted_text, sigmas
+from onboard.estimation.policy import HALF, contradicted_text
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import refused_from
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, QuantityEstimate
@@ -104,7 +104,7 @@ class GraspedPayload:
         weak[4:] |= possible is None
         unsaid = unstated.sigma(along)
         known = np.hypot(found.sigma, unsaid)
-        half = np.hypot(0.5 * (found.high - found.low), sigmas(1.0 - jackknife.level) * unsaid)
+        half = np.hypot(0.5 * (found.high - found.low), HALF * unsaid)
         sigma = np.hypot(known, value - estimated)
         half *= sigma / known
         numbers = np.column_stack([value, sigma, value - half, value + half])

@@ -150,12 +150,12 @@ class Hypotheses:
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
 
-    def estimate(self, level: float = 0.95) -> Estimate:
+    def estimate(self) -> Estimate:
         """Of the selected identifier, or the mixture of those that may be right."""
         if self._mixed:
-            estimates = [self._members[member].estimate(level) for member in self._mixed]
-            return mixed(estimates, np.array([*self._mixed.values()]), level)
-        return self.chosen.estimate(level)
+            estimates = [self._members[member].estimate() for member in self._mixed]
+            return mixed(estimates, np.array([*self._mixed.values()]))
+        return self.chosen.estimate()
 
     def findings(self) -> Findings:
         """Findings of the selected identifier, and the instrument left out."""

@@ -8,11 +8,11 @@ quantity is reported as *supported* only if the data, not the prior, determine i
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import ndtri
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, count_refused, none_refused
+from onboard.estimation.policy import HALF
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -136,7 +136,7 @@ class Identifier:
         instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
         self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
         self.about: FloatArray | None = None
-        self._estimated: tuple[tuple[float, int, int], Estimate] | None = None  # the last one, and what it is of
+        self._estimated: tuple[tuple[int, int], Estimate] | None = None  # the last one, and what it is of
         self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
         self._of_motion = of_motion(considered)
@@ -348,7 +348,7 @@ class Identifier:
             self._corrected = self.rows_used, self._corrections.fitted(*self.rls.prior_equations(), left_over, mean)
         return self._corrected[1]
 
-    def block_jackknife(self, level: float = 0.95, exact: bool = False) -> JackknifeEstimate:
+    def block_jackknife(self, exact: bool = False) -> JackknifeEstimate:
         """The estimate of the base parameters with its block-jackknife covariance; ``exact``: nothing considered.
 
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
@@ -358,8 +358,8 @@ class Identifier:
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
         if self._instruments is not None:
-            return self.recursion.block_jackknife(sigma, level)
-        made = JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, level, scale=fitted and fitted.noise)
+            return self.recursion.block_jackknife(sigma)
+        made = JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, scale=fitted and fitted.noise)
         answer = None if exact or self.suspects is None else self.suspects.answer
         return made if answer is None else made.instead(answer)
 
@@ -369,23 +369,19 @@ class Identifier:
         weights = np.vstack([self._weights, *([self.payload.weights(jackknife)] if self.payload else [])])
         return np.asarray(np.sqrt(jackknife.formal_variance(weights)), np.float64)
 
-    def estimate(self, level: float = 0.95) -> Estimate:
-        """Base parameters and quantities with two-sided intervals.
-
-        Args:
-            level: of the intervals.
-        """
-        of = (level, self.rows_used, self.refused[GateReason.RESIDUAL])
+    def estimate(self) -> Estimate:
+        """Base parameters and quantities with two-sided 95 % intervals."""
+        of = (self.rows_used, self.refused[GateReason.RESIDUAL])
         if self._estimated is None or self._estimated[0] != of:
-            self._estimated = of, self._estimate(level, True)
+            self._estimated = of, self._estimate(True)
         return self._estimated[1]._replace(refused=dict(self.refused))
 
     def stated_estimate(self) -> Estimate:
         """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
-        return self._estimate(0.95, False)
+        return self._estimate(False)
 
-    def _estimate(self, level: float, with_unstated: bool) -> Estimate:
-        jackknife = self.block_jackknife(level)
+    def _estimate(self, with_unstated: bool) -> Estimate:
+        jackknife = self.block_jackknife()
         p, weights = len(self.base.names), self._weights
         interval = jackknife.combination(weights)
         prior = self.taken.covariance
@@ -393,14 +389,14 @@ class Identifier:
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         supported &= self.suspects is None or not self.suspects.judged()[0]
-        causes, z = jackknife.causes(weights), ndtri(0.5 + 0.5 * level)
+        causes = jackknife.causes(weights)
         unstated = self.unstated(jackknife) if with_unstated else Unstated.of([], np.zeros((0, p)))
         unsaid = unstated.sigma(weights)
-        half = np.hypot(interval.high - interval.mean, z * unsaid)
+        half = np.hypot(interval.high - interval.mean, HALF * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         numbers = np.column_stack([interval.mean, sigmas, lows, highs, shrinkage])[p:]
         quantities = [
-            answered(quantity, own, bool(fine), cause, z, self.considered, jackknife.mean)
+            answered(quantity, own, bool(fine), cause, self.considered, jackknife.mean)
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import LEAST_WEIGHT, sigmas, tails
+from onboard.estimation.policy import HALF, INTERVAL, LEAST_WEIGHT, tails
 from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.quantities import Estimate, QuantityEstimate
 
 
-def mixed(estimates: Sequence[Estimate], weights: FloatArray, level: float) -> Estimate:
+def mixed(estimates: Sequence[Estimate], weights: FloatArray) -> Estimate:
     """Mean, sigma and intervals of the mixture of Gaussians that have the intervals of the estimates.
 
     What one of them does not determine is not supported. Names, notes and counts of rows are the first's.
@@ -18,14 +18,13 @@ def mixed(estimates: Sequence[Estimate], weights: FloatArray, level: float) -> E
     Args:
         estimates: of the same parameters and quantities.
         weights: probability of each, (k,), of sum one.
-        level: of the intervals, theirs and those of the mixture.
     """
     first = estimates[0]
-    parameters = _Mixed([(one.mean, one.low, one.high) for one in estimates], weights, level)
+    parameters = _Mixed([(one.mean, one.low, one.high) for one in estimates], weights)
     supported = np.all([one.supported for one in estimates], axis=0)
     columns = ("mean", "low", "high")
     numbers = [[np.array([getattr(q, name) for q in one.quantities]) for name in columns] for one in estimates]
-    of_quantities = _Mixed([(mean, low, high) for mean, low, high in numbers], weights, level)
+    of_quantities = _Mixed([(mean, low, high) for mean, low, high in numbers], weights)
     quantities = [
         of_quantities.quantity(k, [one.quantities[k] for one in estimates]) for k in range(len(first.quantities))
     ]
@@ -36,17 +35,15 @@ def mixed(estimates: Sequence[Estimate], weights: FloatArray, level: float) -> E
 class _Mixed:
     """Of means with the ends of their intervals, (n,) of each of k estimates; NaN where one of these is not finite."""
 
-    def __init__(
-        self, each: Sequence[tuple[FloatArray, FloatArray, FloatArray]], weights: FloatArray, level: float
-    ) -> None:
+    def __init__(self, each: Sequence[tuple[FloatArray, FloatArray, FloatArray]], weights: FloatArray) -> None:
         means = np.array([mean for mean, _, _ in each])
         halves = np.array([np.maximum(high - mean, mean - low) for mean, low, high in each])
         self._determined = np.isfinite(means).all(axis=0) & np.isfinite(halves).all(axis=0)
         n, one = means.shape[1], np.where(self._determined, means, 0.0)
-        variances = np.where(self._determined, (halves / sigmas(1.0 - level)) ** 2, 1.0)
+        variances = np.where(self._determined, (halves / HALF) ** 2, 1.0)
         mixture = Mixture(weights, one, variances[:, :, None] * np.eye(n))
         mean, covariance = mixture.known
-        lower, upper = mixture.ends(np.eye(n), tails(1.0 - level))
+        lower, upper = mixture.ends(np.eye(n), tails(1.0 - INTERVAL))
         self._outer = mean + mixture.ends(np.eye(n), tails(LEAST_WEIGHT))
         self.mean, self.sigma = self._or_nan(mean), self._or_nan(np.sqrt(np.diag(covariance)))
         self.low, self.high = self._or_nan(mean + lower), self._or_nan(mean + upper)

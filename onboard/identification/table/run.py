@@ -47,7 +47,7 @@ class TableRun:
     def finish(self) -> None:
         """Nothing is left to be done."""
 
-    def estimate(self, level: float = 0.95) -> Estimate:
+    def estimate(self) -> Estimate:
         """An estimate without quantities."""
         nothing = np.full(len(self.parameter_names), np.nan)
         unsupported = np.zeros(len(self.parameter_names), np.bool_)

@@ -35,14 +35,14 @@ class MeanRate(TableRun):
         self.rows_used = len(self.rates)
         return gates
 
-    def estimate(self, level: float = 0.95) -> Estimate:
+    def estimate(self) -> Estimate:
         mean = float(np.mean(self.rates)) if self.rates else np.nan
         sigma = float(np.std(self.rates) / np.sqrt(len(self.rates))) if self.rates else np.nan
         half = 1.96 * sigma
         answer = QuantityEstimate(
             "mean_rate_x", "rad/s", mean, sigma, mean - half, mean + half, 1.0, bool(self.rates), ""
         )
-        return super().estimate(level)._replace(quantities=(answer,))
+        return super().estimate()._replace(quantities=(answer,))
 
 
 def build(vehicle: config.Vehicle) -> tuple[MeanRate, VehicleModel]:

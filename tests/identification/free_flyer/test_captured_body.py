@@ -30,7 +30,7 @@ def flown(case, *, told_s=None):
         body.take(ticks)
         if ekf.holds and ekf.confirmed and ekf.state is not None and body.due:
             body.tell(Payload(ekf.state[PAYLOAD], ekf.covariance[PAYLOAD, PAYLOAD]))
-        found.append(body.quantities(0.95, known=True))
+        found.append(body.quantities(known=True))
         at += BATCH
     return body, found
 
@@ -72,7 +72,7 @@ def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
         assert abs(one.mean - case.rate[NAMES.index(one.name) - 3]) < 3.3 * one.sigma
     case.online.changes.append(Change("ejection", END_s, END_s, np.nan))
     body.take(case.ticks.part(slice(-2, None)))
-    assert {one.note for one in body.quantities(0.95, known=True)} == {"nothing is held"}
+    assert {one.note for one in body.quantities(known=True)} == {"nothing is held"}
     assert not body.due
 
 
@@ -80,16 +80,16 @@ def test_without_the_base_imu_it_says_so_and_a_copy_goes_on_alike():
     case = Case(2, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
     body, found = flown(case)
     again = pickle.loads(pickle.dumps(body))
-    assert again.quantities(0.95, known=True) == found[-1]
+    assert again.quantities(known=True) == found[-1]
     case.online.fusion.leave_out(0)
     body.tell(Payload(case.online.state[PAYLOAD], case.online.covariance[PAYLOAD, PAYLOAD]))
-    assert {one.note for one in body.quantities(0.95, known=True)} == {"imu is left out"}
+    assert {one.note for one in body.quantities(known=True)} == {"imu is left out"}
 
 
 def test_while_the_payload_is_not_known_nothing_is_told_and_it_is_told_anew_when_it_is_found_again():
     case = Case(2, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
     body, _ = flown(case)
-    assert {one.note for one in body.quantities(0.95, known=False)} == {"the payload is not known"}
+    assert {one.note for one in body.quantities(known=False)} == {"the payload is not known"}
     assert not body.due
     case.online.ticks_used = 100
     assert body.due

@@ -54,7 +54,6 @@ def answered(
     numbers: FloatArray,
     fine: bool,
     effects: FloatArray,
-    z: float,
     considered: Sequence[Considered],
     parameters: FloatArray,
 ) -> QuantityEstimate:
@@ -65,7 +64,6 @@ def answered(
         numbers: mean, sigma, low, high by rows and calibrations, and posterior over prior sigma, (5,).
         fine: whether the data determine it.
         effects: of one sigma of each considered parameter on it, (k,).
-        z: half an interval of a normal, in sigmas.
         considered: k considered parameters.
         parameters: base parameters, (p,).
     """
@@ -73,7 +71,7 @@ def answered(
     note = quantity.note if fine else "not determined by the data so far"
     drawn = float(np.hypot.reduce([one.weights @ parameters for one in quantity.leanings], initial=0.0))
     if fine:
-        wide = float(np.hypot(high - mean, z * drawn))
+        wide = float(np.hypot(high - mean, HALF * drawn))
         sigma, low, high = float(np.hypot(sigma, drawn)), mean - wide, mean + wide
     leans = leans_on(considered, effects, mean, sigma, quantity.leanings, parameters)
     told = mean, sigma, low, high, float(numbers[4]), fine, note, drawn

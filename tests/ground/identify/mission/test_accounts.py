@@ -72,6 +72,13 @@ def test_counted_gaps_are_exact_and_estimated_ones_nearly(
     assert ("about" in line) is (not counted and is_whole)
 
 
+@pytest.mark.parametrize(("last", "is_whole"), [(96, True), (94, False)])
+def test_of_many_samples_an_estimate_may_miss_two_and_two_in_a_hundred(
+    tmp_path: Path, last: int, is_whole: bool
+) -> None:
+    assert written(tmp_path / "log.mcap", but(0, 99), (0, last, False)).is_whole is is_whole
+
+
 @pytest.mark.parametrize(("cause", "is_whole"), [("test", False), ("changes_unheard", True)])
 def test_changes_that_nobody_heard_may_be_any_number(tmp_path: Path, cause: str, is_whole: bool) -> None:
     account = written(tmp_path / "log.mcap", but(0, 99), (0, 0, False), cause=cause)

@@ -1,5 +1,6 @@
 """What a recording says of itself: how its readings are rounded, whether they are repeated, how far apart they are."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckWatch
 from onboard.ground.before.init.vehicle import NewVehicle, make
 from onboard.ground.identify.replay.as_recorded import as_recorded, quantum_of
+from onboard.ground.identify.replay.feed import check_times
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -98,6 +101,13 @@ def test_a_recorder_that_writes_readings_more_than_once_is_known_by_doing_it_all
     once = np.sin(0.04 * np.arange(2000.0))
     once[700:760] = once[700]
     assert not angle_of(as_recorded(vehicle, recorded(tmp_path / "log.mcap", once, 2.0)).vehicle).repeats
+
+
+@pytest.mark.parametrize(("period_ms", "refused"), [(45.0, False), (75.0, True)])
+def test_samples_more_than_ten_times_as_far_apart_are_of_another_unit(vehicle, tmp_path, period_ms, refused):
+    log = recorded(tmp_path / "log.mcap", np.sin(0.1 * np.arange(400.0)), period_ms)
+    with pytest.raises(ChannelError, match="75 ms apart where") if refused else nullcontext():
+        check_times(vehicle, log)
 
 
 def test_a_thrown_body_of_a_slower_recorder_is_identified_at_its_rate(tmp_path):
