@@ -34,6 +34,7 @@ from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 
 WIDTHS_ms = tuple(1e3 * WIDEST_s / 2**k for k in (3, 2, 1, 0))
@@ -43,9 +44,7 @@ _ALIKE = 1.02  # times the least error: as good; the narrowest of those tells mo
 IN_TURN = "recording"
 """Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
 a column that says by 0 and 1 whether the payload is held."""
-_OF_A_SAMPLE = 0.02  # that clocks of recorders differ by, over a row
-_FEWEST_STEPS = 32  # between readings, to tell how they are rounded; runs of equal ones, that they are a recorder's
-_WHOLE = 0.05  # of a quantum, by which steps that are whole numbers of it may differ from them, besides what is rounded
+_WHOLE = 0.05  # by which what is a whole number may differ from it: steps in quanta, besides what is rounded; samples
 _NEAREST = 10.0  # quanta, of the steps that tell
 
 
@@ -191,13 +190,13 @@ def _ticks(devices: Mapping[str, object], rate_Hz: float, *, whole: bool) -> flo
     if not slowest_ms:
         return rate_Hz
     least = 1e3 / (slowest_ms * rate_Hz)  # samples to a row
-    return min(rate_Hz, 1e3 / (slowest_ms * max(2.0, np.ceil(least - _OF_A_SAMPLE) if whole else least)))
+    return min(rate_Hz, 1e3 / (slowest_ms * max(2.0, np.ceil(least - _WHOLE) if whole else least)))
 
 
 def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[RecordedDevice, list[str]]:
     """A device by its rows, and what differs from its table."""
     rows, said, found = log.read(name), list[str](), dict[str, object]()
-    if len(rows) < _FEWEST_STEPS:
+    if len(rows) < SHORTEST:
         return device, said
     period_ms = 1e-6 * float(np.median(np.diff(rows["host_ns"])))
     ratio = period_ms / device.period_ms
@@ -231,11 +230,11 @@ def quantum_of(raw: NDArray[np.floating]) -> float:
     """
     steps = np.abs(np.diff(raw))
     steps = steps[steps > 0.0]
-    if len(steps) < _FEWEST_STEPS:
+    if len(steps) < SHORTEST:
         return 1.0
     digit, least = float(np.gcd.reduce(np.rint(steps).astype(np.int64))), float(steps.min())
     few = steps[steps < _NEAREST * least]
-    if len(few) < _FEWEST_STEPS:
+    if len(few) < SHORTEST:
         return least if not (steps % least).any() else 1.0
     quantum = float(few.sum() / np.rint(few / least).sum())
     apart = digit / quantum + _WHOLE  # two roundings of half a digit each
@@ -250,7 +249,7 @@ def _repeats(raw: FloatArray) -> bool:
     stuck, _ = StuckReadings(1, math.inf, travels=True).watch(raw[:, None], np.ones(len(raw), np.bool_))
     begins = np.flatnonzero(np.append(True, np.diff(raw) != 0.0))
     lengths = np.diff(np.append(begins, len(raw)))[stuck[begins]]
-    return len(lengths) >= _FEWEST_STEPS and bool(np.median(lengths) > MOSTLY * lengths.max())
+    return len(lengths) >= SHORTEST and bool(np.median(lengths) > MOSTLY * lengths.max())
 
 
 def _held(vehicle: config.Vehicle, log: LogReader) -> Phases | None:

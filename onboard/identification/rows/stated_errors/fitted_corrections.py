@@ -43,7 +43,6 @@ from onboard.identification.rows.stated_errors.stated import FREEDOM
 
 _ROUNDS = 4  # of the noise's scale, which settles to a few per cent
 _MOST_KEPT = 1_000_000  # numbers, 8 MB: some two seconds of a body that is thrown, or five throws
-_TOLD = 1.5  # share of an error's effect that no parameter reproduces, over the share of the readings left over
 
 
 class _Rows(NamedTuple):
@@ -213,7 +212,7 @@ class FittedCorrections:
         p, column = self._p, self._p + k
         b = sums[:p, column]
         own = float(sums[column, column] - b @ np.linalg.solve(sums[:p, :p], b))
-        return own > _TOLD**2 * max(left_over * power, 0.0 if self._causes[k].effect.endswith("delay") else noise)
+        return own > max(left_over * power, 0.0 if self._causes[k].effect.endswith("delay") else noise)
 
 
 def _told(sums: FloatArray, noise: FloatArray, prior: FloatArray, stated: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from onboard.devices.recorded import RecordedAngle, RecordedDevice
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.stuck import StuckWatch
 from onboard.ground.before.init.vehicle import NewVehicle, make
-from onboard.ground.identify.replay.as_recorded import as_recorded, quantum_of
+from onboard.ground.identify.replay.as_recorded import as_recorded, narrowest, quantum_of
 from onboard.ground.identify.replay.feed import check_times
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -101,6 +101,11 @@ def test_a_recorder_that_writes_readings_more_than_once_is_known_by_doing_it_all
     once = np.sin(0.04 * np.arange(2000.0))
     once[700:760] = once[700]
     assert not angle_of(as_recorded(vehicle, recorded(tmp_path / "log.mcap", once, 2.0)).vehicle).repeats
+
+
+@pytest.mark.parametrize(("worse", "found_ms"), [(1.01, 100.0), (1.03, 200.0)])
+def test_the_narrowest_width_that_predicts_as_well_to_two_in_a_hundred_is_taken(worse, found_ms):
+    assert narrowest({100.0: 0.1 * worse, 200.0: 0.1, 400.0: 0.1})[0] == found_ms
 
 
 @pytest.mark.parametrize(("period_ms", "refused"), [(45.0, False), (75.0, True)])
