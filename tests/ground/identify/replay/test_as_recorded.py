@@ -62,6 +62,11 @@ def test_the_quantum_of_readings_is_found_and_none_where_there_is_none(rng, quan
     assert quantum_of(np.arange(0.0, 1e6, 1000.0) + np.rint(30.0 * rng.normal(size=1000))) == 1.0  # a steady motion
 
 
+@pytest.mark.parametrize(("steps", "quantum"), [(15, 1.0), (25, 7.0)])
+def test_a_quantum_is_told_by_twenty_steps(steps, quantum):
+    assert quantum_of(7.0 * np.arange(steps + 1)) == quantum
+
+
 def test_the_quantum_of_an_encoder_whose_angles_were_written_with_few_digits(rng):
     """14 bits in degrees to three places, as a mapping of 1e-5 degrees reads them; and digits alone."""
     angle_deg = np.cumsum(rng.normal(0.0, 0.05, 4000))
