@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import HALF, INTERVAL, LEAST_WEIGHT, tails
-from onboard.identification.evidence.mixture import Mixture
+from onboard.estimation.policy import HALF
+from onboard.identification.evidence.mixture import REPORTED, Mixture
 from onboard.identification.quantities import Estimate, QuantityEstimate
 
 
@@ -43,10 +43,9 @@ class _Mixed:
         variances = np.where(self._determined, (halves / HALF) ** 2, 1.0)
         mixture = Mixture(weights, one, variances[:, :, None] * np.eye(n))
         mean, covariance = mixture.known
-        lower, upper = mixture.ends(np.eye(n), tails(1.0 - INTERVAL))
-        self._outer = mean + mixture.ends(np.eye(n), tails(LEAST_WEIGHT))
+        lower, upper, *self._outer = mean + mixture.ends(np.eye(n), REPORTED)
         self.mean, self.sigma = self._or_nan(mean), self._or_nan(np.sqrt(np.diag(covariance)))
-        self.low, self.high = self._or_nan(mean + lower), self._or_nan(mean + upper)
+        self.low, self.high = self._or_nan(lower), self._or_nan(upper)
 
     def _or_nan(self, numbers: FloatArray) -> FloatArray:
         return np.where(self._determined, numbers, np.nan)
@@ -57,5 +56,5 @@ class _Mixed:
         if not least.supported:
             return least
         mean, sigma, low, high = (float(part[k]) for part in (self.mean, self.sigma, self.low, self.high))
-        ends = float(self._outer[0, k]), float(self._outer[1, k])
+        ends = float(self._outer[0][k]), float(self._outer[1][k])
         return least._replace(mean=mean, sigma=sigma, low=low, high=high, own_outer=ends)

@@ -44,7 +44,6 @@ _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
 DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare vehicle's masses: 1/s, m/s^2
-MOST_UNCERTAIN = SUPPORTED_SHRINKAGE  # of the mass, one sigma: beyond, no mass is reported and nothing can be
 
 
 class TableFit(MotionFit):
@@ -298,6 +297,6 @@ def drag_of(found: PayloadFit, pucks: Mapping[str, DragPrior]) -> DragFit:
         reason = f"IMU and joints contradict each other: {times:.1f} times the noise is left; check their signs"
     elif pushing:
         reason = f"pucks drag and do not push, but {', '.join(pushing)} came out negative; check pucks and motion"
-    elif sigma > MOST_UNCERTAIN * mass:
+    elif sigma > SUPPORTED_SHRINKAGE * mass:
         reason = f"the motion does not determine the payload: {mass:.3g} kg, give or take {sigma:.2g} kg; move more"
     return DragFit(names, drag, spread, reason)

@@ -23,7 +23,7 @@ from onboard.estimation.policy import READING, sigmas
 from onboard.identification.quantities import Estimate, Findings
 
 _STEPS = 64  # temperatures kept: of some seconds
-_PLAUSIBLE_K = 100.0  # from the first temperature
+_PLAUSIBLE_K = 100.0  # from the first temperature: data sheets of the chips span 125 K, -40 to 85 degrees Celsius
 _WARMER_K = 5.0  # more than a chip warms by itself after power-up
 _TINY = float(np.finfo(np.float64).tiny)
 

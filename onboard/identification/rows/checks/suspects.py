@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
     LIKELY_SIZE,
@@ -53,7 +53,6 @@ from onboard.regressor.rows import RowModel
 from onboard.regressor.signals import Signals
 
 _UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
-_EXACT = 1e9  # stated sigmas in a suspect's: what is stated so well is as stated
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
 _HUBER, _FAR = 3.0, sigmas(READING)  # rows beyond weigh less; contradict
 _TINY = float(np.finfo(np.float64).tiny)
@@ -108,7 +107,7 @@ class RowSuspects:
         self._half, self._centre = half[:, self._active], base.value(model.chi)  # beta = centre + half z
         self._sigma, self._own = np.array([one.sigma for one in self._errors]), np.diag(prior_root)[self._active]
         every = [*self._links(model, prior_root), *self._instruments(model)]
-        suspects = [one for one in every if np.abs(one.along).max() < _EXACT]
+        suspects = [one for one in every if np.abs(one.along).max() < 1.0 / ROUNDING]  # else exact
         self._bank = Bank(suspects, np.ones(len(self._active) + len(self._errors)))
         self._names = [row.name for row in model.rows]
         self._gain_of = {row: int(np.flatnonzero(base.independent == column)[0]) for row, column in model.scales}
