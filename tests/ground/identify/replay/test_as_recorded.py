@@ -67,9 +67,10 @@ def test_a_quantum_is_told_by_twenty_steps(steps, quantum):
     assert quantum_of(7.0 * np.arange(steps + 1)) == quantum
 
 
-def test_the_quantum_of_an_encoder_whose_angles_were_written_with_few_digits(rng):
+@pytest.mark.parametrize("step_deg", [0.05, 0.3])
+def test_the_quantum_of_an_encoder_whose_angles_were_written_with_few_digits(rng, step_deg):
     """14 bits in degrees to three places, as a mapping of 1e-5 degrees reads them; and digits alone."""
-    angle_deg = np.cumsum(rng.normal(0.0, 0.05, 4000))
+    angle_deg = np.cumsum(rng.normal(0.0, step_deg, 4000))
     encoder = np.rint(angle_deg / 360.0 * 2**14) / 2**14 * 360.0
     assert quantum_of(np.rint(1e5 * np.round(encoder, 3))) == pytest.approx(1e5 * 360.0 / 2**14, rel=0.01)
     assert quantum_of(np.rint(1e5 * np.round(angle_deg, 3))) == 100.0
