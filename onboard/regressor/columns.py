@@ -14,11 +14,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.kinematics import Chain, cross
+from onboard.dynamics.kinematics import Bodies, Chain, cross
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.inertia import moved_to
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.dynamics.spatial import crf, force_transforms, own_inertias, times
+from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.native import library
 
@@ -196,16 +196,17 @@ class WrenchColumns:
             chain: motion of links and joints.
             force: specific force of the base, (n, 3).
         """
-        out = np.zeros((len(held), self._rows))
-        inertias, payload = own_inertias(chi), self._payload.start // 10 if self._payload.stop else None
-        for cut in self._cuts:
-            R, p, V, A = (part[:, cut.links] for part in chain.links)
-            X = force_transforms(R, p)
-            back, own = X.swapaxes(-1, -2), inertias[cut.links]
-            if not cut.coasting:
-                A[..., :3] += force[:, None]
-            V = times(back, V)
-            on_each = times(X, times(own, times(back, A)) + times(crf(V), times(own, V)))  # (n, links, 6)
-            on_each[:, cut.links == payload] *= held[:, None, None]
-            out[:, cut.rows] = times(cut.in_base(chain), on_each.sum(axis=1))
+        out, n, links = np.zeros((len(held), self._rows)), len(held), chain.links.p.shape[1]
+        groups = np.zeros((len(self._cuts), 2, links))  # what hangs beyond each cut, and that without the payload
+        for group, cut in zip(groups, self._cuts, strict=True):
+            group[:, cut.links] = 1.0
+        groups[:, 1, self._payload.start // 10 : self._payload.stop // 10] = 0.0
+        none, thrust = np.zeros((n, 6)), np.hstack([force, np.zeros_like(force)])
+        for coasting in {cut.coasting for cut in self._cuts}:
+            moved = Bodies.of(chain.links, chi, none, none if coasting else thrust)
+            beyond = moved.sums(groups.reshape(-1, links)).wrench.reshape(n, -1, 2, 6)
+            for k, cut in enumerate(self._cuts):
+                if cut.coasting == coasting:
+                    on = np.where(held[:, None], beyond[:, k, 0], beyond[:, k, 1])
+                    out[:, cut.rows] = times(cut.in_base(chain), on)
         return out

@@ -104,11 +104,12 @@ class RowsRemade:
         chi[self._independent] += beta
         links = chi[: self._model.vehicle.chi.size]
 
-        def readings(by: FloatArray) -> FloatArray:
-            return self._model.readings(links, *self._corrected(ticks, by), ticks.attached)
-
-        about, steps = readings(errors), _STEP * np.eye(len(errors))[moving]
-        return np.array([(readings(errors + step) - about) / _STEP for step in steps])
+        cases = [errors, *(errors + _STEP * np.eye(len(errors))[moving])]
+        motions = zip(*(self._corrected(ticks, by) for by in cases), strict=True)
+        q, dq, ddq, force = (np.concatenate(parts) for parts in motions)
+        read = self._model.readings(links, q, dq, ddq, force, np.tile(ticks.attached, len(cases)))
+        about, *changed = read.reshape(len(cases), len(ticks.attached), -1)
+        return (np.array(changed) - about) / _STEP
 
     def _corrected(
         self, ticks: SmoothedTicks, errors: FloatArray

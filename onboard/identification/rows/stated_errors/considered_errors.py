@@ -103,7 +103,7 @@ class ConsideredErrors:
     def regressors(self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
         """Rows of some ticks, (s, t, rows, p + 1), for each of s signals; last what is known."""
         parts = zip(*((one.q, one.dq, one.ddq, *one.motion) for one in each), strict=True)
-        q, dq, ddq, *motion = (np.concatenate([one[at] for one in part]) for part in parts)  # (s t, ...) each
+        q, dq, ddq, *motion = (np.concatenate([one.take(at, axis=0) for one in part]) for part in parts)  # (s t, ...)
         none = np.zeros((len(q), len(self._model.rows)))
         held = np.tile(attached[at], len(each))
         Y = self._model.regressor(q, dq, ddq, BaseMotion(*motion), held, predicted=none, fold=self._fold)
