@@ -91,7 +91,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
     assert planned["masses_kg"] == [0.7, 3.0]
     assert all(one["duration_s"] > 0.0 and len(one["limit"]) == 2 for one in planned["segments"])
     vehicle.write_text(f'{vehicle.read_text()}\n[mission]\nuntil = "mass 30 %"\nsegments = "{segments}"\n')
-    mission, log = world(vehicle, None, 21, 60.0), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 7, 60.0), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
     reader = LogReader(log)
