@@ -234,8 +234,8 @@ class NimuTable(MeasuringEmulator):
             ("accel_g", "accel_noise_m_s2", "accel_delay_ms", STANDARD_GRAVITY),
             ("gyro_deg_s", "gyro_noise_rad_s", "gyro_delay_ms", math.pi / 180.0),
         ):
-            (bandwidth_hz,) = imu[triad]["bandwidth_Hz"]  # of two poles, which pass noise as an edge 1.11 times as far
-            imu[triad]["noise_density"] = said[noise] / unit / math.sqrt(1.11 * bandwidth_hz)
+            (bandwidth_hz,) = imu[triad]["bandwidth_Hz"]
+            imu[triad]["noise_density"] = said[noise] / unit / math.sqrt(0.5 * said["sample_rate_hz"])  # white samples
             own_ms = 1e3 * math.sqrt(0.5) / (math.pi * bandwidth_hz)  # of these poles
             imu[triad]["delay_ms"] = [max(said.get(delay, 0.0), own_ms if delay in said else 0.0)]
         return Equivalent(table, {name: imu}, {name: "crystal"})

@@ -25,8 +25,10 @@ class NimuDevice(SerialLineDevice, ImuDevice):
     records = IMU
     driver_configs = (NimuConfig,)
     new_keys = """sample_rate_hz = 150
-accel_noise_m_s2 = 0.02        # of a sample: from its certificate
-gyro_noise_rad_s = 2e-3
+accel_noise_m_s2 = 0.02        # yours: density by its certificate x sqrt(150 Hz / 2)
+gyro_noise_rad_s = 2e-3        # the same
+accel_delay_ms = 4.5           # yours: of its filter; of two poles at 50 Hz
+gyro_delay_ms = 4.5
 """
     first_row_s = 0.3  # it talks unasked, a quarter of a second after its power came
     kind: Literal["nimu"]

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from hil_sim.devices.serial_line.nimu import NimuTwin
+from hil_sim.devices.serial_line.nimu import NimuTable, NimuTwin
 from hil_sim.devices.serial_wire import LineFormat
 from hil_sim.faults import Fault, FaultPlan
+from hil_sim.scenario.sheets import Sheets
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, FlatImu, RateClock, StairImu
 
@@ -76,6 +77,15 @@ def test_words_are_asked_for_with_the_units_of_the_300_dps_2_g_model():
     assert 1 / per_g == pytest.approx(9.1553e-5)
     assert 1 / per_dps == pytest.approx(1.3733e-2)
     assert code == 3
+
+
+def test_the_noise_of_a_vehicle_file_is_that_of_white_samples():
+    """By the density, which the filter leaves as it is: 75 Hz lie below half the rate, whatever its delay."""
+    said = {"sample_rate_hz": 150.0, "frame": "imu", "accel_noise_m_s2": 0.0196133, "gyro_noise_rad_s": np.pi / 1800.0}
+    for delays in ({}, {"accel_delay_ms": 4.5, "gyro_delay_ms": 4.5}):
+        imu = NimuTable.from_vehicle("imu", said | delays, Sheets(True, None, {}, {}, {})).sensors["imu"]
+        assert imu["accel_g"]["noise_density"] == pytest.approx(2e-3 / 75.0**0.5)
+        assert imu["gyro_deg_s"]["noise_density"] == pytest.approx(0.1 / 75.0**0.5)
 
 
 def test_the_timer_counts_2_1701_us_and_wraps_in_142_ms():

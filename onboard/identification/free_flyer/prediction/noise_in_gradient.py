@@ -82,6 +82,9 @@ def added_by_line(
     weight = np.divide(1.0, sigma**2, out=np.zeros(sigma.shape), where=use & ~predictor.of_poses)
     error = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
     error[0] = 0.0  # the momentum is that of the first tick
+    if (stilled := ticks.stilled) is not ticks:  # derivatives have none of that of joints that are still
+        error[np.broadcast_to(ticks.still[:, None], error.shape)] = 0.0
+        ticks, right = stilled, None
     joints = ticks.q, ticks.dq + error[:, 0], ticks.ddq + error[:, 1]
     wrong = predictor.predict(*joints, state, _misread(predictor, ticks.cyclic, error), ticks.thrust)
     if right is None:
