@@ -337,7 +337,7 @@ class WholeFlight:
         while last - first >= _FEWEST_TICKS:
             end = last if last - first < 2 * _BLOCK_TICKS else first + _BLOCK_TICKS + 2
             some = ticks.part(slice(first, end))
-            predicted = self.predictor.of(some, state)
+            predicted = self.predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
             here = slice(first + 1, end - 1)
             lines, values = self._lines(ticks.time_s[here]), predicted.values
             for at, (bias_at, _) in zip(self._of_lines, self.predictor.biases, strict=True):

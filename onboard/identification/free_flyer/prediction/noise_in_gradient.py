@@ -36,6 +36,8 @@ def noise_added(
     turn: int = 0,
     noise: FloatArray | None = None,
     by_tick: FloatArray | None = None,
+    *,
+    still: bool = False,
 ) -> NoiseAdded:
     """Of all lines; nothing where the noise is next to nothing beside that of every line.
 
@@ -48,7 +50,10 @@ def noise_added(
         turn: whose turn it is first, a count.
         noise: one sigma of each line, (b + 2, m), where it is known.
         by_tick: zeros, (b, p), that become the gradient of each tick.
+        still: of derivatives that have none of joints that are still: :meth:`.ImuPredictor.of`.
     """
+    if still:
+        ticks = ticks.stilled
     added = NoiseAdded.none(len(state))
     noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state) if noise is None else noise
     if not is_noisy(noise[1:-1], sigma, use):
@@ -82,9 +87,6 @@ def added_by_line(
     weight = np.divide(1.0, sigma**2, out=np.zeros(sigma.shape), where=use & ~predictor.of_poses)
     error = in_turn(ticks.sample_sigma, BATCH_TICKS, turn)
     error[0] = 0.0  # the momentum is that of the first tick
-    if (stilled := ticks.stilled) is not ticks:  # derivatives have none of that of joints that are still
-        error[np.broadcast_to(ticks.still[:, None], error.shape)] = 0.0
-        ticks, right = stilled, None
     joints = ticks.q, ticks.dq + error[:, 0], ticks.ddq + error[:, 1]
     wrong = predictor.predict(*joints, state, _misread(predictor, ticks.cyclic, error), ticks.thrust)
     if right is None:

@@ -78,10 +78,11 @@ class Ticks(NamedTuple):
 
     @property
     def stilled(self) -> "Ticks":
-        """The same without rates and accelerations of joints that are still; itself where none is."""
+        """The same without rates, accelerations and noise of joints that are still; itself where none is."""
         if not (still := self.still).any():
             return self
-        return self._replace(dq=np.where(still, 0.0, self.dq), ddq=np.where(still, 0.0, self.ddq))
+        noise = np.where(still[:, None], 0.0, self.sample_sigma)
+        return self._replace(dq=np.where(still, 0.0, self.dq), ddq=np.where(still, 0.0, self.ddq), sample_sigma=noise)
 
     @property
     def rest(self) -> bool:

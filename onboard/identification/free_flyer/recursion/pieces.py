@@ -108,7 +108,7 @@ class Pieces:
         self._done = int(later) if later < last + BATCH_TICKS else last
         self._left -= self._done >= last
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
-        predicted = predictor.of(own, self.state)
+        predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)
         used = use[first : self._done]
         weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
         residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight

@@ -125,9 +125,9 @@ def test_noise_of_a_joint_that_is_still_is_not_in_the_derivatives(predictor, tic
     np.testing.assert_array_equal(found.transition, at_rest.transition)
     assert np.abs(as_read.jacobian - at_rest.jacobian).max() > 0.0
     sigma, use, turns = 1e-3 * SIGMA[:8], USE[:8], (2, 7)  # of the one that is still: its rate's and acceleration's
-    assert not any(noise_added(predictor, noisy, sigma, use, state, turn).gradient.any() for turn in turns)
+    assert not any(noise_added(predictor, noisy, sigma, use, state, turn, still=True).gradient.any() for turn in turns)
     moved = noisy._replace(dq=noisy.dq + 0.3 * ~moves)
-    assert all(noise_added(predictor, moved, sigma, use, state, turn).gradient.any() for turn in turns)
+    assert all(noise_added(predictor, moved, sigma, use, state, turn, still=True).gradient.any() for turn in turns)
 
 
 def test_an_estimate_is_corrected_for_noise_with_doubt_in_its_power():
