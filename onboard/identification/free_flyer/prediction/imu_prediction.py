@@ -346,21 +346,6 @@ class ImuPredictor:
         self._core.end(made, state)
         return TickPrediction(*made[:4])
 
-    def of(self, ticks: Ticks, state: FloatArray) -> TickPrediction:
-        """As :meth:`predict`, its derivatives as if joints that are still did not move.
-
-        Where a joint rests its rate is noise, which is in the prediction and in the derivatives alike, and nothing
-        else: two seconds of rest moved a link, of which they tell nothing, by four of its stated sigmas. Derivatives
-        without the noise are instruments (Soderstrom and Stoica, Instrumental Variable Methods, 1983): they have no
-        part in the error of the prediction. They are no slopes of a cost: a descent would not end (a window at rest,
-        where the payload's mass is whatever noise makes of it, had no minimum).
-        """
-        predicted = self.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
-        if (stilled := ticks.stilled) is ticks:
-            return predicted
-        rests = self.predict(ticks.q, stilled.dq, stilled.ddq, state, ticks.cyclic, ticks.thrust)
-        return predicted._replace(jacobian=rests.jacobian, transition=rests.transition)
-
     def _unpushed(self, state: FloatArray) -> FloatArray:
         """All unknowns without what pushes."""
         linear = self._scaled.linear(state)

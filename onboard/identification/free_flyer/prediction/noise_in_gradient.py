@@ -36,8 +36,6 @@ def noise_added(
     turn: int = 0,
     noise: FloatArray | None = None,
     by_tick: FloatArray | None = None,
-    *,
-    still: bool = False,
 ) -> NoiseAdded:
     """Of all lines; nothing where the noise is next to nothing beside that of every line.
 
@@ -50,10 +48,7 @@ def noise_added(
         turn: whose turn it is first, a count.
         noise: one sigma of each line, (b + 2, m), where it is known.
         by_tick: zeros, (b, p), that become the gradient of each tick.
-        still: of derivatives that have none of joints that are still: :meth:`.ImuPredictor.of`.
     """
-    if still:
-        ticks = ticks.stilled
     added = NoiseAdded.none(len(state))
     noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state) if noise is None else noise
     if not is_noisy(noise[1:-1], sigma, use):

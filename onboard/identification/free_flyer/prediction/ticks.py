@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.estimation.policy import READING, sigmas
 from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
@@ -68,21 +67,6 @@ class Ticks(NamedTuple):
     def part(self, which: slice) -> "Ticks":
         """A part of the ticks."""
         return Ticks(*(x[which] for x in self))
-
-    @property
-    def still(self) -> BoolArray:
-        """Of each joint at each tick, (n, joints), whether its rate and acceleration are no more than noise makes."""
-        most = sigmas(READING) * self.sample_sigma
-        still = (np.abs(self.dq) <= most[:, 0]) & (np.abs(self.ddq) <= most[:, 1])
-        return np.asarray(still & self.sample_sigma.any(axis=1), np.bool_)
-
-    @property
-    def stilled(self) -> "Ticks":
-        """The same without rates, accelerations and noise of joints that are still; itself where none is."""
-        if not (still := self.still).any():
-            return self
-        noise = np.where(still[:, None], 0.0, self.sample_sigma)
-        return self._replace(dq=np.where(still, 0.0, self.dq), ddq=np.where(still, 0.0, self.ddq), sample_sigma=noise)
 
     @property
     def rest(self) -> bool:

@@ -64,7 +64,7 @@ class Holding(BoundedWork):
         """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
         if self.state is not None and ticks.sample_sigma.any():
             turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
-            added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise, still=True)
+            added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise)
             self.noise_added = self.noise_added.plus(added)
             self._noise_rate = self._noise_rate + (added.gradient - self._noise_rate) / ticks.sample_sigma[0].size
 

@@ -88,20 +88,23 @@ class Linearised:
         if self._about is not None:
             about, changing = self._about.copy(), self._predictor.changing
             about[changing] = state[changing]
-            found = self._predictor.of(ticks, about)
+            found = self._of(ticks, about)
             if found.moderate:
                 moved = found.jacobian @ (state - about)  # (b, lines)
                 far = _rms(moved, ticks)
                 if far <= _MOVED or self._bent * far**2 <= _LINEAR:
                     return about, found._replace(values=found.values + moved)
-                anew = self._predictor.of(ticks, state)
+                anew = self._of(ticks, state)
                 bent = _rms(anew.values - found.values - moved, ticks)
                 if bent <= _BENT:
                     self._bent = bent / far**2
                     return about, found._replace(values=anew.values)
             self.apart = True
         self._about, self._bent = state.copy(), np.inf
-        return state, self._predictor.of(ticks, state)
+        return state, self._of(ticks, state)
+
+    def _of(self, ticks: Ticks, state: FloatArray) -> TickPrediction:
+        return self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
 
 
 def _rms(change: FloatArray, ticks: Ticks) -> float:

@@ -107,29 +107,6 @@ def test_noise_of_less_than_a_thousandth_of_every_line_is_left_out(predictor, ti
         assert added.gradient.any() == added.information.any() == counts
 
 
-def test_noise_of_a_joint_that_is_still_is_not_in_the_derivatives(predictor, ticks, state):
-    """As drawn by chance they would be those of a motion, of which each error of the prediction is a part."""
-    quiet, moves = ticks.part(slice(0, 10)), np.arange(5) != 2
-    size = np.tile([[1e-3], [1e-2]], (10, 1, 5))
-    noise = size * np.random.default_rng(3).normal(size=size.shape)
-    joints = {"dq": np.where(moves, 0.3, noise[:, 0]), "ddq": np.where(moves, 0.1, noise[:, 1])}
-    noisy = quiet._replace(**joints, sample_sigma=size)
-    rests = noisy._replace(dq=noisy.dq * moves, ddq=noisy.ddq * moves)
-    found, as_read, at_rest = (
-        predictor.of(noisy, state),
-        predictor.of(noisy._replace(sample_sigma=0.0 * size), state),
-        predictor.of(rests, state),
-    )
-    np.testing.assert_array_equal(found.values, as_read.values)
-    np.testing.assert_array_equal(found.jacobian, at_rest.jacobian)
-    np.testing.assert_array_equal(found.transition, at_rest.transition)
-    assert np.abs(as_read.jacobian - at_rest.jacobian).max() > 0.0
-    sigma, use, turns = 1e-3 * SIGMA[:8], USE[:8], (2, 7)  # of the one that is still: its rate's and acceleration's
-    assert not any(noise_added(predictor, noisy, sigma, use, state, turn, still=True).gradient.any() for turn in turns)
-    moved = noisy._replace(dq=noisy.dq + 0.3 * ~moves)
-    assert all(noise_added(predictor, moved, sigma, use, state, turn, still=True).gradient.any() for turn in turns)
-
-
 def test_an_estimate_is_corrected_for_noise_with_doubt_in_its_power():
     covariance, gradient = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([0.5, -0.2])
     added = NoiseAdded(gradient, np.diag([0.9 * NOISELESS / 4.0, 0.0]))  # next to nothing in the information
