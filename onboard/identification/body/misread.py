@@ -8,15 +8,15 @@ nothing changes: of the tracker's axes, sixteen ways are left.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.identification.body.fit import BodyModel
 from onboard.identification.body.start import PoseAxes, solved
 from onboard.identification.body.windows import TrackedPoses
+from onboard.identification.misread import exchanged, score, turned
 
 _OTHER = "the other way"
 _MIRRORED = (  # by quarter turns of the yaw
@@ -41,7 +41,7 @@ class _Commands(NamedTuple):
 
     said: tuple[str, ...]
     valves: tuple[int, ...]  # of each thruster, the valve that its commands are of
-    signs: tuple[int, ...]
+    signs: tuple[float, ...]
 
 
 class _Way(NamedTuple):
@@ -58,8 +58,8 @@ class _Way(NamedTuple):
 
     @property
     def score(self) -> float:
-        """The smaller, the likelier: a further mistake leaves half of the squares, at the most."""
-        return self.left * MISFIT_REFUSED**self.mistakes
+        """The smaller, the likelier."""
+        return score(self.left, self.mistakes)
 
 
 def others(
@@ -87,7 +87,7 @@ def others(
         least = solved(found, forces, model.place_m, _read(model, axes)).least
         return (_Way(left, axes, one) for left, one in zip(least.tolist(), some, strict=True))
 
-    stated = _Commands((), tuple(range(len(names))), (1,) * len(names))
+    stated = _Commands((), tuple(range(len(names))), (1.0,) * len(names))
     once = [*_changed(stated, names)]
     twice = [two for one in once for two in _changed(one, names)]
     ways = [way for axes in range(len(_AXES)) for way in weighed(axes, [stated, *once, *(twice if not axes else ())])]
@@ -102,13 +102,10 @@ def others(
 
 def _changed(now: _Commands, names: Sequence[str]) -> Iterator[_Commands]:
     """Commands with one mistake more: two columns exchanged, a thruster the other way."""
-    for i, j in combinations(range(len(names)), 2):
-        valves = [*now.valves]
-        valves[i], valves[j] = valves[j], valves[i]
-        yield _Commands((*now.said, f"{names[i]} and {names[j]} are exchanged"), tuple(valves), now.signs)
-    for j, name in enumerate(names):
-        signs = tuple(-sign if k == j else sign for k, sign in enumerate(now.signs))
-        yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, signs)
+    for pair, valves in exchanged(now.valves, names):
+        yield _Commands((*now.said, f"{pair} are exchanged"), valves, now.signs)
+    for name, factor in zip(names, turned(len(names)), strict=True):
+        yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, tuple(factor * now.signs))
 
 
 def _read(model: BodyModel, axes: int) -> PoseAxes:

@@ -8,7 +8,8 @@ Of pairs, those compete in which a joint or a unit takes part: two axes of the I
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import combinations, permutations, product
+from itertools import permutations, product
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY
 from onboard.identification.free_flyer.guesses import ROUGH_WIDTH_s, WIDEST_s
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.misread import JointReading, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu
@@ -30,6 +32,7 @@ _UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero
 _FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut off, and each tells six lines anew
 _MOST_SAID = 3
 _NOISE_SEED = 1
+_SCORE = attrgetter("score")
 _G_m_s2 = 9.80665
 _AXES = tuple(
     np.array(signs)[:, None] * np.eye(3)[list(order)]
@@ -43,7 +46,6 @@ _UNITS = (  # of gyro and accelerometer, and what they are to be multiplied by
     (1.0, 1e-3 * _G_m_s2, "the accelerometer is in mg"),
     (1.0, 1.0 / _G_m_s2, "the accelerometer is in m/s^2, and not in g"),
 )
-TURNS_deg = tuple(float(turn) for turn in range(-165, 181, 15) if turn)  # of a zero, to its nearest
 
 
 class FlightReading(NamedTuple):
@@ -52,10 +54,7 @@ class FlightReading(NamedTuple):
     said: tuple[str, ...]  # what is otherwise than stated
     gyro: FloatArray  # (3, 3) of the rates as stated
     accelerometer: FloatArray  # (3, 3)
-    order: tuple[int, ...]  # of each joint, whose angles are its own
-    factor: FloatArray  # (joints,) of these
-    shift_rad: FloatArray  # (joints,) added
-
+    angles: JointReading
     mistakes: int = 0
 
     def also(self, said: str, mistakes: int = 1, **change: Any) -> "FlightReading":
@@ -65,12 +64,7 @@ class FlightReading(NamedTuple):
     @staticmethod
     def stated(joints: int) -> "FlightReading":
         """As the file says."""
-        return FlightReading((), np.eye(3), np.eye(3), tuple(range(joints)), np.ones(joints), np.zeros(joints))
-
-    def joints(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Angles, rates and accelerations as they are then, (n, joints) each."""
-        at = list(self.order)
-        return self.factor * q[:, at] + self.shift_rad, self.factor * dq[:, at], self.factor * ddq[:, at]
+        return FlightReading((), np.eye(3), np.eye(3), JointReading.stated(joints))
 
 
 class Misread(NamedTuple):
@@ -93,6 +87,10 @@ class Misread(NamedTuple):
 class _Weighed(NamedTuple):
     left: float
     way: FlightReading
+
+    @property
+    def score(self) -> float:
+        return score(self.left, self.way.mistakes)
 
 
 class _Recording:
@@ -170,9 +168,9 @@ class _Recording:
         return Y, -bodies.sums(np.ones((1, links.p.shape[1]))).wrench[:, 0]
 
     def _links_of(self, way: FlightReading) -> Frames:
-        key = (way.order, *way.factor.tolist(), *way.shift_rad.tolist())
+        key = (way.angles.order, *way.angles.factor.tolist(), *way.angles.shift_rad.tolist())
         if self._links is None or self._links[0] != key:
-            self._links = key, chain_motion(self._vehicle, *way.joints(*self._joints)).links
+            self._links = key, chain_motion(self._vehicle, *way.angles.joints(*self._joints)).links
         return self._links[1]
 
     def _base(self, imu: BaseSignals, way: FlightReading) -> BaseSignals:
@@ -227,19 +225,19 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
     if least == np.inf:  # nothing moves, however it is read
         return None
     of_imu, of_joints = [*_of_imu(stated)], [*_of_joints(stated, names)]
-    zeros = [*_of_zeros(stated, names)]
-    ways = sorted((recording.weighed(way) for way in (*of_imu, *of_joints, *zeros)), key=_score)
+    zeros = [stated.also(said, 2, angles=other) for said, other in stated.angles.from_other_zeros(names)]
+    ways = sorted((recording.weighed(way) for way in (*of_imu, *of_joints, *zeros)), key=_SCORE)
     if ways[0].left > recording.explained(ways[0].way):
         pairs = [two for way in of_joints for two in (*_of_imu(way), *_of_joints(way, names))]
         pairs += [two for way in _of_units(stated) for two in _of_imu(way)]
-        ways = sorted([*ways, *(recording.weighed(way) for way in pairs)], key=_score)
+        ways = sorted([*ways, *(recording.weighed(way) for way in pairs)], key=_SCORE)
     best = ways[0]._replace(left=recording.left(ways[0].way, ROUNDS))
     by_noise, of_best = (float(recording.by_noise(way).sum()) for way in (stated, best.way))
     if of_best > MOSTLY or best.left > recording.explained(best.way):
         return None
-    if _score(best._replace(left=max(best.left - of_best, 2.0 * MOST_UNEXPLAINED**2))) >= least - by_noise:
+    if score(max(best.left - of_best, 2.0 * MOST_UNEXPLAINED**2), best.way.mistakes) >= least - by_noise:
         return None
-    near = [one.way for one in ways if _score(one) / MISFIT_REFUSED < _score(ways[0])]
+    near = [one.way for one in ways if one.score / MISFIT_REFUSED < ways[0].score]
     # of zeros beside each other, and of a pair in either order, a single one
     each = {re.sub(r"[-+]\d+", "", " ".join(sorted(way.said))): way for way in reversed(near)}
     shares = (min(1.0, float(np.sqrt(0.5 * left))) for left in (least, best.left))
@@ -254,11 +252,6 @@ def _noise(flight: FlightSignals) -> FlightSignals:
         size = np.sqrt(np.nanmean(np.diff(one, 2, axis=0) ** 2, axis=0) / 6.0)  # 1, -2, 1: six times the variance
         drawn.append(np.where(np.isfinite(one), size * rng.standard_normal(one.shape), np.nan))
     return flight._replace(rate=drawn[0], specific_force=drawn[1])
-
-
-def _score(one: _Weighed) -> float:
-    """The smaller, the likelier: a further mistake leaves half of the squares, at the most."""
-    return one.left * MISFIT_REFUSED**one.way.mistakes
 
 
 def _of_imu(now: FlightReading) -> Iterator[FlightReading]:
@@ -279,23 +272,12 @@ def _of_units(now: FlightReading) -> Iterator[FlightReading]:
 
 def _of_joints(now: FlightReading, names: Sequence[str]) -> Iterator[FlightReading]:
     """With one mistake more in how the joints are read."""
-    for k, name in enumerate(names):
-        yield now.also(f"{name} counts the other way", factor=now.factor * np.where(np.arange(len(names)) == k, -1, 1))
-    for i, j in combinations(range(len(names)), 2):
-        order = [*now.order]
-        order[i], order[j] = order[j], order[i]
-        yield now.also(f"{names[i]} and {names[j]} are exchanged", order=tuple(order))
-    for factor, said in ((np.pi / 180.0, "deg"), (180.0 / np.pi, "rad, and not in deg")):
-        yield now.also(f"all angles are in {said}", factor=factor * now.factor)
-
-
-def _of_zeros(now: FlightReading, names: Sequence[str]) -> Iterator[FlightReading]:
-    """With the zero of one joint elsewhere: one of so many places, which counts as a mistake more."""
-    for k, name in enumerate(names):
-        for turn_deg in TURNS_deg:
-            shift = now.shift_rad + np.deg2rad(turn_deg) * (np.arange(len(names)) == k)
-            said = f"{name} is about {turn_deg:+.0f} deg from what is read"
-            yield now.also(said, mistakes=2, shift_rad=shift)
+    angles = now.angles
+    for name, factor in zip(names, turned(len(names)), strict=True):
+        yield now.also(f"{name} counts the other way", angles=angles._replace(factor=angles.factor * factor))
+    for pair, order in exchanged(angles.order, names):
+        yield now.also(f"{pair} are exchanged", angles=angles._replace(order=order))
+    yield from (now.also(said, angles=other) for said, other in angles.in_other_units())
 
 
 def _axes_text(by: FloatArray) -> str:

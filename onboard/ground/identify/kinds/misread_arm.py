@@ -5,7 +5,6 @@ parameters, which cost as much as the vehicle file says that they are known (rid
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +12,10 @@ import numpy as np
 from onboard import config
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import MISFIT_REFUSED
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.free_flyer.misread import TURNS_deg
+from onboard.identification.misread import JointReading, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.identification.standing import Level
@@ -33,9 +31,7 @@ class ArmReading(NamedTuple):
     """A way to read angles and torques."""
 
     said: str  # what is otherwise than stated
-    order: tuple[int, ...]  # of each joint, whose angles are its own
-    factor: FloatArray  # (joints,) of these
-    shift_rad: FloatArray  # (joints,) added
+    angles: JointReading
     torque_order: tuple[int, ...]  # of each torque
     torque_factor: FloatArray  # (joints,) of these
     mistakes: int
@@ -85,13 +81,12 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     some = slice(None, None, max(1, len(parts[0]) // MOST_TICKS))
     recording = _ArmRecording(rows, identifier.taken.prior_root, *(part[some] for part in parts))
     n = len(joints)
-    same = tuple(range(n))
-    stated = ArmReading("", same, np.ones(n), np.zeros(n), same, np.ones(n), 0)
+    stated = ArmReading("", JointReading.stated(n), tuple(range(n)), np.ones(n), 0)
     if recording.ticks < SHORTEST:
         return ""
     least = recording.left(stated)
     ways = [
-        (recording.left(way) * MISFIT_REFUSED**way.mistakes, way)
+        (score(recording.left(way), way.mistakes), way)
         for way in _others(stated, joints)
         if not way.held_before or recording.both
     ]
@@ -114,12 +109,7 @@ class _ArmRecording:
 
     def left(self, way: ArmReading) -> float:
         """Squares that are left over, of each torque as a share that is refused, and of what is stated, in sigmas."""
-        at, n = list(way.order), self.ticks
-        motion = (
-            way.factor * self._q[:, at] + way.shift_rad,
-            way.factor * self._dq[:, at],
-            way.factor * self._ddq[:, at],
-        )
+        motion, n = way.angles.joints(self._q, self._dq, self._ddq), self.ticks
         measured = way.torque_factor * self._measured[:, list(way.torque_order)]
         held = np.asarray(self._held != way.held_before, np.bool_)
         Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held)
@@ -136,30 +126,23 @@ def _others(stated: ArmReading, names: Sequence[str]) -> Iterator[ArmReading]:
     """With a mistake."""
     n, stated = len(names), stated._replace(mistakes=1)
     yield stated._replace(said="what is held is in the recording before, and not in the other one", held_before=True)
-    for k, name in enumerate(names):
-        turned = np.where(np.arange(n) == k, -1.0, 1.0)
-        yield stated._replace(said=f"the angle of {name} counts the other way", factor=turned)
-        yield stated._replace(said=f"the torque of {name} counts the other way", torque_factor=turned)
+    angles = stated.angles
+    for name, factor in zip(names, turned(n), strict=True):
+        other = angles._replace(factor=factor)
+        yield stated._replace(said=f"the angle of {name} counts the other way", angles=other)
+        yield stated._replace(said=f"the torque of {name} counts the other way", torque_factor=factor)
         both = f"angle and torque of {name} count the other way"
-        yield stated._replace(said=both, factor=turned, torque_factor=turned)
-        for turn_deg in TURNS_deg:
-            shift = np.deg2rad(turn_deg) * (np.arange(n) == k)
-            yield stated._replace(
-                said=f"{name} is about {turn_deg:+.0f} deg from what is read", shift_rad=shift, mistakes=2
-            )
-    for i, j in combinations(range(n), 2):
-        order = [*range(n)]
-        order[i], order[j] = j, i
-        pair, swapped = f"{names[i]} and {names[j]}", tuple(order)
-        yield stated._replace(said=f"the angles of {pair} are exchanged", order=swapped)
-        yield stated._replace(said=f"the torques of {pair} are exchanged", torque_order=swapped)
-        yield stated._replace(said=f"{pair} are exchanged", order=swapped, torque_order=swapped)
+        yield stated._replace(said=both, angles=other, torque_factor=factor)
+    for said, other in angles.from_other_zeros(names):
+        yield stated._replace(said=said, angles=other, mistakes=2)
+    for pair, order in exchanged(angles.order, names):
+        other = angles._replace(order=order)
+        yield stated._replace(said=f"the angles of {pair} are exchanged", angles=other)
+        yield stated._replace(said=f"the torques of {pair} are exchanged", torque_order=order)
+        yield stated._replace(said=f"{pair} are exchanged", angles=other, torque_order=order)
     # bodies of negative mass explain it as well, and cost little where masses are hardly known: no price of a mistake
     yield stated._replace(said="all torques count the other way", torque_factor=-np.ones(n), mistakes=0)
-    for factor, said in (
-        (1e-3, "thousandths of what they are read as"),
-        (1e3, "a thousand times what they are read as"),
-    ):
-        yield stated._replace(said=f"all torques are {said}", torque_factor=np.full(n, factor))
-    for factor, said in ((np.pi / 180.0, "deg"), (180.0 / np.pi, "rad, and not in deg")):
-        yield stated._replace(said=f"all angles are in {said}", factor=np.full(n, factor))
+    for size, said in ((1e-3, "thousandths of"), (1e3, "a thousand times")):
+        yield stated._replace(said=f"all torques are {said} what they are read as", torque_factor=np.full(n, size))
+    for said, other in angles.in_other_units():
+        yield stated._replace(said=said, angles=other)
