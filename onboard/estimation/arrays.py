@@ -12,6 +12,8 @@ ComplexArray = NDArray[np.complex128]
 
 ROUNDING = 1e-9
 """Relative difference of numbers that are equal but for rounding errors, or information that keeps a matrix regular."""
+SINGULAR = float(1.0 / np.finfo(np.float64).eps)
+"""Condition of a matrix, or size of a number beside one, from which on rounding is all that is left of the smaller."""
 OF_MEDIAN = 1.4826
 """Standard deviation of a normal of mean zero over the median of its size: ``1 / ndtri(3 / 4)``."""
 _HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)

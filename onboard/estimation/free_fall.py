@@ -14,7 +14,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import READING
 
 _CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
-_WINDOW_s = 0.3  # in which size and roughness are judged
+WINDOW_s = 0.3  # in which size and roughness are judged
 _ALLOWED = 1.2  # factor of the variance: of a sensor that is a tenth noisier than stated
 
 
@@ -29,7 +29,7 @@ def is_free(force: ArrayLike, sigma: ArrayLike, period_s: float, largest_m_s2: f
     """
     x, noise = np.asarray(force, np.float64), np.asarray(sigma, np.float64)
     rough = roughness(x, noise, period_s)
-    width = 2 * round(0.5 * _WINDOW_s / period_s) + 1
+    width = 2 * round(0.5 * WINDOW_s / period_s) + 1
     freedom = width * x.shape[1]
     size = np.linalg.norm(_means(x, width), axis=1)
     limit = _ALLOWED * float(chdtri(freedom, READING)) / freedom

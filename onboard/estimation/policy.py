@@ -14,7 +14,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import gammainc, ndtri
 
 LIKELY_SIZE = 0.1
 """One sigma of a wrong scale, of a wrong zero or mounting angle in rad, or of a wrong body: propellant used, a part
@@ -81,6 +81,12 @@ AGAIN = 1.2
 def of_each(budget: float, looks: float = 1.0) -> float:
     """Chance of one look of a test that looks so many times at a flight: ``1 - (1 - budget)^(1 / (TESTS looks))``."""
     return float(-np.expm1(np.log1p(-budget) / (TESTS * max(looks, 1.0))))
+
+
+def too_often(changes: int, within_s: float) -> bool:
+    """Whether so many changes, of :data:`STEPS_PER_HOUR`, are within such a time of a flight more than is by chance."""
+    by_chance = gammainc(changes, STEPS_PER_HOUR * within_s / 3600.0)  # Poisson: so many, or more
+    return bool(by_chance < of_each(REFUSE, 3600.0 / within_s))
 
 
 @lru_cache(maxsize=256)

@@ -31,7 +31,7 @@ from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_REFUSED, REFUSE, of_each, sigmas
 
 DOUBTFUL = sigmas(of_each(DOUBT))  # of one
-_LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
+LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
 
 class Together(NamedTuple):
@@ -83,20 +83,20 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     if not k:
         return Together(0.0, 0.0)
     told = -posterior.T  # LAPACK's order; A + e I
-    told.flat[:: k + 1] += 1.0 + _LEAST_TOLD
+    told.flat[:: k + 1] += 1.0 + LEAST_TOLD
     L, failed = dpotrf(told, lower=True, overwrite_a=True)
     if failed:  # some of them have a wider prior for now than what is stated
         return Together(0.0, 0.0)
     solved = dtrsv(L, corrections, lower=True)
-    squares, least = float(solved @ solved), (k - float(posterior.trace())) / (1.0 + _LEAST_TOLD)
+    squares, least = float(solved @ solved), (k - float(posterior.trace())) / (1.0 + LEAST_TOLD)
     if least >= 1.0 and squares <= least:  # nothing is improbable, and the inverse takes five times as long
         return Together(squares, least)
     inverse = dpotri(L, lower=True, overwrite_c=True)[0]  # its lower triangle, zeros above
     own = np.diag(inverse)
     trace = float(own.sum())
-    mean = k - _LEAST_TOLD * trace  # sum of the weights a / (a + e)
+    mean = k - LEAST_TOLD * trace  # sum of the weights a / (a + e)
     of_all = 2.0 * float(np.vdot(inverse, inverse)) - float(own @ own)
-    square = k - 2.0 * _LEAST_TOLD * trace + _LEAST_TOLD**2 * of_all
+    square = k - 2.0 * LEAST_TOLD * trace + LEAST_TOLD**2 * of_all
     if mean < ROUNDING * k:
         return Together(0.0, 0.0)
     return Together(squares * mean / square, mean * mean / square)
@@ -110,7 +110,7 @@ def expected_sigma(prior: FloatArray, posterior: FloatArray, wider: float = 1.0)
         posterior: (k,) after the fit.
         wider: factor on the noise's variance.
     """
-    told = np.maximum(prior - posterior, _LEAST_TOLD * prior)
+    told = np.maximum(prior - posterior, LEAST_TOLD * prior)
     return np.asarray(np.sqrt(told * (wider + (1.0 - wider) * told / prior)), np.float64)
 
 

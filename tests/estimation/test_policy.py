@@ -47,3 +47,8 @@ def test_evidence_has_words_where_numbers_end() -> None:
         "1e+5",
         "1e+2171",
     ]
+
+
+def test_two_false_changes_in_a_minute_are_by_chance_in_more_flights_than_are_refused_and_three_are_not() -> None:
+    assert [policy.too_often(changes, 60.0) for changes in range(4)] == [False, False, False, True]
+    assert policy.too_often(2, 5.0)

@@ -22,7 +22,8 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.payload import body_jacobian, body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import HALF
+from onboard.estimation.policy import AGAIN, HALF
+from onboard.flight.estimate.hand_over import EVERY_NS
 from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.further import TURNING_rad_s
@@ -33,11 +34,10 @@ from onboard.identification.free_flyer.segment_choice import Asked, after, choos
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 
-_STEADY = 10  # steps in succession with which a goal is met
 _LATE_s, _FIRST_LATE_s = 8.0, 60.0  # of an arm that is not back, or has other things to do first
 _UNMOVED = 2  # segments in which the arm has not moved
 _NEAR_rad = 0.05  # an arm at rest in the posture
-_LITTLE = 0.93  # of the ratio: a segment that gains less than this may be the last
+_LITTLE = AGAIN**-0.5  # of the ratio: a segment that gains less than this may be the last
 _FEWEST = 3  # segments before it is given up
 _PROBES = 5  # motions with nothing known to be held
 
@@ -93,9 +93,10 @@ class Asking:
         self.own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
         self._turn = 0  # segment that is linearised next
         self.ratios: list[float] = []  # at each request
-        self._number = self.since_change = self._met = self._unmoved = 0
+        self._number = self.since_change = self._unmoved = 0
         self._over = self.moved = self._asks = False
         self._held_s: float | None = None  # since when a payload is
+        self._met_s: float | None = None  # since when the goal is met
         self._idle_s: float | None = None  # since when the arm rests with nothing held
         self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
         self._changes = 0
@@ -115,7 +116,7 @@ class Asking:
         assert isinstance(online, MotionIdentifier)
         ekf = online.ekf
         if len(ekf.changes) != self._changes:  # another payload, or none: all begins anew
-            self._changes, self.since_change, self._met, self._unmoved = len(ekf.changes), 0, 0, 0
+            self._changes, self.since_change, self._met_s, self._unmoved = len(ekf.changes), 0, None, 0
             self._over, self._held_s, self._idle_s, self.ratios = False, None, None, []
             self.own = [None] * len(self.own)
         if ekf.held is False:
@@ -130,8 +131,9 @@ class Asking:
         known = self._known(ekf, estimate, float(np.linalg.norm(rate)))
         now = known.asked.ratio(known.widened * known.covariance[PAYLOAD, PAYLOAD])
         usable = ekf.settled() and not online.findings().against
-        self._met = self._met + 1 if usable and self._is_met(estimate, known.asked) else 0
-        if self._met >= _STEADY:
+        met = usable and self._is_met(estimate, known.asked)
+        self._met_s = None if not met else time_s if self._met_s is None else self._met_s
+        if self._met_s is not None and time_s - self._met_s >= 1e-9 * EVERY_NS:
             self._over, self._asks = True, False
             took = f"{time_s - self._held_s:.0f} s after the payload was held, {self.since_change} segments"
             return self._say(now_ns, time_s, Act.MET, "", now, now, f"{self._text}: known {took}")
@@ -232,7 +234,7 @@ class Asking:
     def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:
         library = self.library
         low, high = known.masses_kg
-        if high > 1.25 * library.masses[-1] and self.since_change >= _FEWEST:
+        if high > AGAIN * library.masses[-1] and self.since_change >= _FEWEST:
             text = f"it may weigh {high:.3g} kg, and the segments are for {library.masses[-1]:.3g} kg at most"
             return self._give_up(now_ns, time_s, now, text)
         first = max(int(np.searchsorted(library.masses, low, side="right")) - 1, 0)

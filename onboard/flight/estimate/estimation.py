@@ -19,7 +19,7 @@ from onboard.flight.acquire.publisher import Publisher
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.hand_over import HandOver
-from onboard.flight.estimate.shedding import KEPT_HZ, LATE_NS, to_skip_ns
+from onboard.flight.estimate.shedding import LATE_NS, to_skip_ns
 from onboard.flight.estimate.state import StateError, UnwrittenParts
 from onboard.flight.store import rings
 from onboard.identification.online import Defers
@@ -89,7 +89,8 @@ class EstimationWorker:
         kept = [
             name
             for name, device in estimator.vehicle.file.device.items()
-            if estimator.vehicle.rate_hz(name) <= KEPT_HZ or (isinstance(device, BusDevice) and device.tells_changes)
+            if estimator.vehicle.rate_hz(name) * self.period_ns <= 1e9
+            or (isinstance(device, BusDevice) and device.tells_changes)
         ]
         self._kept = {channel for name in kept for channel in estimator.vehicle.file.device[name].channels(name)}
 

@@ -3,14 +3,14 @@
 Rows are left out in one piece, so that the others are contiguous: a change is classified from windows of 1 to 4 s
 without a gap. Late rows are as good as recent ones, since the payload is constant.
 
-Phases, pulses and other channels of few rows are never left out. A pause of the estimator after which it catches up
-costs no row. The answers rest on fewer rows, and their intervals are wider accordingly. Each TICK record says how much
-was left out before it, so that a replay does the same; the log has the rows.
+Phases, pulses and other channels that come no more often than the estimator steps are never left out. A pause of the
+estimator after which it catches up costs no row. The answers rest on fewer rows, and their intervals are wider
+accordingly. Each TICK record says how much was left out before it, so that a replay does the same; the log has the
+rows.
 """
 
 LATE_NS = 2_000_000_000  # it is reported
 SKIP_NS, LEFT_NS = 8_000_000_000, 1_000_000_000  # the rings hold 12 s
-KEPT_HZ = 20.0  # channels that come no more often lose no row
 
 
 def to_skip_ns(behind_ns: int) -> int:

@@ -160,8 +160,8 @@ def _body(link: LinkEstimate, body: RigidBody) -> str:
     said = f"{mass} kg, centre of mass {within_interval(1e3 * body.centre_of_mass_m, 1e3 * half[1:])} mm"
     if body.mass_kg <= half[0]:
         said += "; the rows do not tell its mass apart from where it is: a cell for a force does, or six axes"
-    if link.away >= 0.05:  # of what is shown
-        said += f"; for the URDF: nearest to the table of bodies that can exist, {link.away:.1f} sigmas off"
+    if away := round(link.away, 1):
+        said += f"; for the URDF: nearest to the table of bodies that can exist, {away:.1f} sigmas off"
     return said
 
 

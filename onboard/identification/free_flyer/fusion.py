@@ -26,8 +26,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import MOSTLY, READING
 from onboard.identification.change import Change
 
-_CONTRADICTS_BATCHES = 5  # refused in a row: it is left out
-_PATIENCE_BATCHES = 6  # for which an instrument must stand accused: those in which a change is detected
+_PATIENCE_BATCHES = 5  # refused, or accused, in a row: those in which a change is detected
 _AGREES_BATCHES = 100  # in a row: it is used again
 _ABSENT_BATCHES = 10  # in a row: it is left out
 
@@ -193,7 +192,7 @@ class Fusion:
                 continue
             self._refused[k] = self._refused[k] + 1 if k in refused else 0
             self._agreed[k] = 0 if k in refused else self._agreed[k] + 1
-            if self._refused[k] >= _CONTRADICTS_BATCHES and k not in self.left_out:
+            if self._refused[k] >= _PATIENCE_BATCHES and k not in self.left_out:
                 self.refused = Accusation(k, self._refused[k], for_good=False)
             elif k in self.left_out and k not in self._barred and self._agreed[k] >= _AGREES_BATCHES:
                 self.left_out.remove(k)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import OPEN
 from onboard.identification.corrections import DOUBTFUL, refused_from
@@ -17,7 +17,7 @@ from onboard.identification.free_flyer.held_against import stated_after
 from onboard.identification.free_flyer.misfit import InnovationMisfit
 from onboard.identification.free_flyer.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
-from onboard.identification.free_flyer.prediction.ticks import IMMODERATE, TickPrediction
+from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.identification.free_flyer.suspects import Believed, Rivals
 
 _MOST_TOLD = 256  # batches whose errors wait to be taken out
@@ -131,7 +131,7 @@ class Innovations:
         np.matmul(steps.T, H.T, out=known[p + 1 :])
         S = H @ PH
         S.flat[:: len(S) + 1] += 1.0
-        if not S.diagonal().max() < IMMODERATE:  # as with NaN
+        if not S.diagonal().max() < SINGULAR:  # as with NaN
             raise SingularError("the state says nothing of what is measured; it has to be estimated anew")
         try:
             L = np.asarray(np.linalg.cholesky(S), np.float64)

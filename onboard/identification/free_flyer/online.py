@@ -14,7 +14,7 @@ from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray, count_refused, none_refused
-from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text
+from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text, too_often
 from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, misfit_text, too_large
 from onboard.identification.evidence.bank import Weighed
@@ -30,7 +30,7 @@ from onboard.identification.free_flyer.prediction.ticks import Ticks, gated, tic
 from onboard.identification.free_flyer.recursion.bounded_work import last_work
 from onboard.identification.free_flyer.recursion.lines import RECENT_s
 from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter
-from onboard.identification.free_flyer.recursion.windowed import SOLVED_AT_s
+from onboard.identification.free_flyer.recursion.solved import SOLVED_AT_s
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import (
     BODY,
@@ -50,7 +50,6 @@ _EXCHANGED = "the payload changed without a release, so an instrument did: check
 _CONTRADICTED = "no payload explains the motion"  # a reason has 128 characters in the log
 _SWINGING = "slosh, a flexible joint or a drift"
 _GIVEN_UP = "the end of the flight is not taken in: its windows take too long to solve"
-_MOST_UNEXPLAINED = 3  # changes without a change of the payload, within RECENT_s
 _LEANINGS = 2  # keys that an answer leans on: as above
 
 
@@ -312,7 +311,7 @@ class MotionIdentifier:
         if self.ekf.undecided or self.ekf.unexplained.count or self.ekf.unexplained.swings:
             between = self.ekf.undecided or self.ekf.unexplained.between
             return between or f"{_CONTRADICTED}; {self._of_what_is_left()}"
-        if unexplained >= _MOST_UNEXPLAINED:
+        if too_often(unexplained, RECENT_s):
             return f"the motion changed {unexplained} times and the payload did not: {_SWINGING}"
         return "" if self._ended or self.ekf.state is not None else _GIVEN_UP
 

@@ -21,11 +21,10 @@ import numpy as np
 
 from onboard.config.bases.parabola import Parabola
 from onboard.estimation.arrays import BoolArray, FloatArray, gaps
-from onboard.estimation.free_fall import is_free
+from onboard.estimation.free_fall import WINDOW_s, is_free
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s, Ticks
 
 BUMP_S = 0.9  # longest contact that is no catch
-_STEADY_S = 0.3  # in which the specific force is averaged to tell free fall of the aircraft
 _PAUSE_S = 0.4  # between strokes of one motion
 
 
@@ -137,7 +136,7 @@ def _run(
 
 def _low(force: FloatArray, period_s: float, limit: float) -> BoolArray:
     """Whether the aircraft falls freely at each tick, by the mean specific force; missing readings do not count."""
-    width = max(1, round(_STEADY_S / period_s))
+    width = max(1, round(WINDOW_s / period_s))
     kernel, known = np.ones(width), np.isfinite(force).all(axis=1)
     counts = np.convolve(known, kernel, "same")
     sums = np.column_stack([np.convolve(np.where(known, axis, 0.0), kernel, "same") for axis in force.T])

@@ -6,13 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import SINGULAR, FloatArray, IndexArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
 BATCH_TICKS = 10  # that the filter takes in one step
-IMMODERATE = 1e12  # of a prediction in SI units
 RESTS_rad_s = 0.01  # joint rate below which the motion carries no information on the payload
 
 
@@ -39,7 +38,7 @@ class TickPrediction(NamedTuple):
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""
-        return all(bool(part.min() > -IMMODERATE and part.max() < IMMODERATE) for part in self)  # False for NaN
+        return all(bool(part.min() > -SINGULAR and part.max() < SINGULAR) for part in self)  # False for NaN
 
 
 def _plus(values: FloatArray, by: FloatArray, more: FloatArray) -> FloatArray:

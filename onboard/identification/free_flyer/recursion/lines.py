@@ -29,7 +29,7 @@ _BLOCK_s = 8.0
 _BLOCKS = round(3600.0 / _BLOCK_s)  # of an hour; as many times half-second sums are all new ones
 _CHANNELS = 6
 RECENT_s = 60.0  # for which a line is remembered
-_LOWEST_Hz, _FEWEST_CYCLES = 1.0, 2  # of a line: above the one, no fewer than the other
+_LOWEST_Hz = 1.0  # of a line
 _SLOW_Hz = 1.5  # the arm moves at 0.1 to 0.6 Hz
 _SUMMED_s = 0.5  # at once; what is recent is a block of sums. The first wait, which doubles until it is a block
 _SENSORS = "gyro", "accelerometer"
@@ -217,7 +217,7 @@ def line_of(residual: FloatArray, period_s: float) -> Line | None:
     """The line in whitened residuals, (n, 6); None where no peak holds most of a channel's power."""
     n = len(residual)
     power = np.abs(np.fft.rfft(_detrended(residual) * np.hanning(n)[:, None], axis=0)) ** 2  # (n // 2 + 1, 6)
-    lowest = max(_FEWEST_CYCLES, int(np.ceil(_LOWEST_Hz * n * period_s)) + 1)
+    lowest = int(np.ceil(_LOWEST_Hz * n * period_s)) + 1
     if len(power) < lowest + 2:
         return None
     peaks = power[lowest - 1 : -2] + power[lowest:-1] + power[lowest + 1 :]  # of three bins, Hann's main lobe

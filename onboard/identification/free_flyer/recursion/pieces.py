@@ -20,16 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
+from onboard.identification.corrections import LEAST_TOLD
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, PIECE, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 
 _NO_SIZES = np.zeros(0)
 _FIRST = PAYLOAD.stop  # rate and payload
-_UNTOLD = 0.05  # share of the information along a direction that the ticks add: below it they do not determine it
-_SHOWS = 1.0 / np.finfo(np.float64).eps  # condition of M beyond which rounding is all that it holds
 _AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
 
 
@@ -129,7 +128,7 @@ class Pieces:
                 H, left = rows[0].reshape(rows[1].size, -1), rows[1].ravel()
                 if k > 0 or first == part * self.steps.every:  # it begins here
                     now = self._by_start(gyro[k - 1], *of_state[:2]) if k > 0 else self._of_first(self.transition[RATE])
-                    if not np.isfinite(now).all() or np.linalg.cond(now[:, RATE]) > _SHOWS:
+                    if not np.isfinite(now).all() or np.linalg.cond(now[:, RATE]) > SINGULAR:
                         self.normal = self.normal._replace(squares=np.inf)
                         continue
                     self._rates[part] = np.linalg.solve(now[:, RATE], now[:, PAYLOAD])
@@ -221,7 +220,7 @@ class Problem(NamedTuple):
         both = told + stated
         scale = np.sqrt(np.diag(both))
         share, V = eigh(stated / np.outer(scale, scale), both / np.outer(scale, scale))  # V' both V = 1
-        untold = V[:, share > 1.0 - _UNTOLD]
+        untold = V[:, share > 1.0 - LEAST_TOLD]  # the ticks do not tell of these
         away = untold.T @ (both @ (x - self.mean[self.active]) / scale)  # in prior sigmas
         return x - untold @ away / scale if np.abs(away).max(initial=0.0) > _AWAY else None
 

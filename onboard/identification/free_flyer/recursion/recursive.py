@@ -22,21 +22,23 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
+from onboard.estimation.policy import HALF
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.fusion import Accusation
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
-from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import Exclusion, WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
-from onboard.identification.free_flyer.recursion.windowed import SOLVED_AT_s, Windowed, WINDOWS_s
+from onboard.identification.free_flyer.recursion.windowed import Windowed, WINDOWS_s
 from onboard.identification.free_flyer.steps import JumpedJoint
+from onboard.identification.useful import Useful
 from onboard.regressor.signals import EncoderJump
 
-DETERMINED = 0.1  # relative sigma of the payload's mass below which filter steps are used
+DETERMINED = Useful().mass / HALF  # relative sigma of the payload's mass below which filter steps are used
 
 
 class MotionFilter(Windowed):

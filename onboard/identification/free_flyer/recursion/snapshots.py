@@ -19,11 +19,10 @@ from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.free_flyer.recursion.solved import HeldPayload
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, SOLVED_AT_s
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.free_flyer.steps import Adds
 
-_EMPTY_s = 1.0, 1.5  # motion of the empty arm that is needed, and kept
 TIERS = ((8, 1), (28, 4), (80, 16))  # (n, k): every k-th of the n newest batches is kept
 
 
@@ -109,7 +108,9 @@ class Snapshots:
     def __init__(self, period_s: float, tiers: Sequence[tuple[int, int]] = TIERS) -> None:
         self._tiers, self._newest = tuple(tiers), -1
         self._kept: list[_Kept] = []
-        self._fewest, self._most = (round(seconds / period_s) for seconds in _EMPTY_s)
+        self._fewest, self._most = (
+            round(seconds / period_s) for seconds in SOLVED_AT_s[:2]
+        )  # of the empty arm's motion
         self._moved: Ticks | None = None
         self._moving = 0  # batches since the arm rested
 

@@ -12,6 +12,7 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 
+SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 EXPLAINED = of_each(REFUSE, 16)  # a window of less chance is not explained; as many windows are judged
 _BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
 _GROWTH, _LONGEST = 1.5, 8.0  # of such a window

@@ -21,13 +21,12 @@ from onboard.identification.free_flyer.recursion.linearised import Linearised
 from onboard.identification.free_flyer.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.free_flyer.recursion.rounds import WindowRounds
 from onboard.identification.free_flyer.recursion.snapshots import Before, Snapshots, initially
-from onboard.identification.free_flyer.recursion.solved import HeldPayload
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, SOLVED_AT_s
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.suspects import Rivals
 
-SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
 WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 
 

@@ -334,6 +334,23 @@ class TestLimits:
         acts = [made[0].rows["act"][0] for time_s in np.arange(1.0, 60.0) if (made := self.step(asking, time_s))]
         assert acts == [Act.SEGMENT] * 3 + [Act.GIVEN_UP]
 
+    @pytest.mark.parametrize(("off_rad", "asks"), [(0.03, True), (0.08, False)])
+    def test_an_arm_in_the_posture_is_as_near_to_it_as_a_servo_holds_it(self, asking, off_rad, asks):
+        own, online = asking
+        online.ekf.held = True
+        joints = np.stack([own.library.posture + off_rad, np.zeros(2)])
+        assert bool(own.step(10**9, 1.0, joints, np.zeros(3), online)) is asks
+
+    def test_an_arm_that_does_not_come_back_from_a_motion_is_given_up(self, asking):
+        own, online = asking
+        online.ekf.held = True
+        self.step(asking, 1.0)
+        request, _ = self.step(asking, 70.0)
+        over_s = 71.0 + own.library.durations_s[own.library.names.index(request.rows["segment"][0].decode())]
+        said = [time_s for time_s in np.arange(71.0, 100.0) if self.step(asking, time_s, moving=0.2)]
+        assert len(said) == 1
+        assert 8.0 < said[0] - over_s <= 9.0
+
     def test_an_arm_that_is_elsewhere_is_waited_for_and_then_given_up(self, asking):
         asking[1].ekf.held = True
         acts = {

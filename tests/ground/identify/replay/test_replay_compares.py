@@ -113,7 +113,8 @@ def test_rounding_is_allowed_for_where_the_log_was_computed_elsewhere_and_only_t
         (5.0, here, True),
         (5.0 + 2e-12, here, False),  # the same computer: not one bit
         (5.0 + 2e-12, there, True),
-        (5.0 + 2e-7, there, False),  # 1e-5 sigmas
+        (5.0 + 1.6e-8, there, True),  # 8e-7 sigmas
+        (5.0 + 3e-8, there, False),  # 1.5e-6 sigmas
     ):
         assert replayed_answers(value, metadata).agrees is agrees
     said = replayed_answers(5.0 + 2e-12, there).summary

@@ -62,6 +62,14 @@ def test_a_window_with_a_swing_as_slow_as_the_motion_is_widened_and_one_of_noise
     assert lines.slow.by_sensor(DOUBT) == {}
 
 
+@pytest.mark.parametrize(("frequency_Hz", "slow"), [(1.25, True), (2.5, False)])
+def test_slow_is_what_is_as_slow_as_the_motion_of_an_arm(rng, frequency_Hz, slow):
+    lines, swinging = InnovationLines(PERIOD_s), rng.normal(size=(400, 6))
+    swinging[:, 1] += 0.8 * np.sin(2.0 * np.pi * frequency_Hz * PERIOD_s * np.arange(400))
+    lines.begin(swinging)
+    assert ("gyro" in lines.slow.by_sensor(DOUBT)) is slow
+
+
 def test_innovations_after_a_window_count_with_it(rng):
     lines, white = InnovationLines(PERIOD_s), rng.normal(size=(8000, 6))
     lines.begin(white[:400])

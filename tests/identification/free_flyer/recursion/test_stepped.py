@@ -1,5 +1,8 @@
 """When steps since a window are solved as a window again."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from onboard.identification.free_flyer.recursion import stepped as module
@@ -46,3 +49,11 @@ def test_what_is_linearised_well_enough_is_kept_as_long_but_not_solved_again_by_
     kept.add(every.part(slice(388, 410)), ekf.predictor, ekf.initial)
     assert kept.over
     assert not kept.due(apart=True)
+
+
+@pytest.mark.parametrize(("mass_sigma", "again"), [(0.02, False), (0.045, True)])
+def test_steps_about_a_mass_known_to_a_few_percent_are_not_solved_again(held, ekf, mass_sigma, again) -> None:
+    every, solved = ticks_of(held), SimpleNamespace(mass_sigma=mass_sigma, covariance=np.eye(13))
+    kept = SteppedTicks(every.part(slice(0, 200)), LENGTH_s, held=True, first=True).after(solved)
+    kept.add(every.part(slice(198, 410)), ekf.predictor, ekf.initial)
+    assert kept.due(apart=False) is again

@@ -138,7 +138,7 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     """Kept where the mass came out large, a light payload became heavier."""
     state, covariance, none = np.zeros(13), np.eye(13), np.zeros((0, 6))
     state[PAYLOAD.start] = mass_kg
-    for sigma_kg, kept in ((0.13, True), (30.0, False)):
+    for sigma_kg, kept in ((0.13, True), (0.9, True), (1.5, mass_kg > 3.0), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
         rest = 2000.0, none, covariance, Changed.none(13), NoiseAdded.none(13), state, 0.0
         found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
