@@ -35,10 +35,9 @@ from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 
 _LATE_s, _FIRST_LATE_s = 8.0, 60.0  # of an arm that is not back, or has other things to do first
-_UNMOVED = 2  # segments in which the arm has not moved
 _NEAR_rad = 0.05  # an arm at rest in the posture
 _LITTLE = AGAIN**-0.5  # of the ratio: a segment that gains less than this may be the last
-_FEWEST = 3  # segments before it is given up
+_FEWEST = 3  # segments that tell nothing, or in which the arm does not move, before it is given up
 _PROBES = 5  # motions with nothing known to be held
 
 
@@ -182,7 +181,7 @@ class Asking:
         if not rests:
             late = held_s > _FIRST_LATE_s and time_s > self._late_s
             return "the arm does not rest in the posture of the segments" if late else ""
-        if self._unmoved >= _UNMOVED:
+        if self._unmoved >= _FEWEST:
             return "the arm does not move when it is asked to: is it armed, have its drives stopped?"
         return ""
 
@@ -261,7 +260,7 @@ class Asking:
         if solved:  # else the information of the segments is in a window that is not explained yet
             self.ratios.append(now)
         name = library.names[found.segment]
-        self._unmoved = 0 if self.moved or not self.since_change else self._unmoved + 1
+        self._unmoved = 1 if self.moved or not self.since_change else self._unmoved + 1
         self.since_change, self.moved, self._asks = self.since_change + 1, False, True
         self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
         self._late_s = self._until_s + _LATE_s

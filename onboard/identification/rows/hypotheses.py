@@ -34,9 +34,8 @@ from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.likelihood import nats
 from onboard.identification.rows.mixed import mixed
 from onboard.identification.standing import Level, standing
+from onboard.identification.windows import SHORTEST
 from onboard.regressor.signals import Signals
-
-_JUDGED_ROWS = 50  # between decisions; twice as many after a reported release, before its own
 
 
 class Member(NamedTuple):
@@ -142,7 +141,7 @@ class Hypotheses:
             if member == self._chosen:
                 found = reasons
         assert found is not None
-        if abs(self.rows_used - self._judged) >= _JUDGED_ROWS:
+        if abs(self.rows_used - self._judged) >= SHORTEST:
             self._judge()
             self._judged = self.rows_used
         return found
@@ -181,7 +180,7 @@ class Hypotheses:
 
     def _judge(self) -> None:
         findings = {member: identifier.findings() for member, identifier in self._members.items()}
-        if self._told_rows is not None and abs(self.rows_used - self._told_rows) >= 2 * _JUDGED_ROWS:
+        if self._told_rows is not None and abs(self.rows_used - self._told_rows) >= 2 * SHORTEST:
             self._judge_release(findings)
         as_told = findings[_AS_TOLD]
         others = [member for member in findings if member.left_out and not member.still_held]

@@ -7,7 +7,8 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from onboard.identification.change import Change
-from onboard.identification.free_flyer.before_capture import Payload
+from onboard.identification.free_flyer import captured_body as module
+from onboard.identification.free_flyer.before_capture import Payload, before_capture
 from onboard.identification.free_flyer.captured_body import NAMES, CapturedBody
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from tests.identification.free_flyer.captures import LARGE, Case
@@ -60,6 +61,16 @@ def test_of_a_small_one_no_number_is_told_but_why():
         assert not one.supported
         assert np.isnan(one.mean)
         assert one.note.endswith("rad/s only: momentum and time of the contact determine no more")
+
+
+def test_an_announcement_tells_when_the_payload_was_touched_to_the_period_of_a_slow_flag(monkeypatch):
+    touched = []
+    monkeypatch.setattr(module, "before_capture", lambda *given: touched.append(given[-1]) or before_capture(*given))
+    flown(Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s), told_s=CAPTURE_s)
+    for from_s, until_s in touched:
+        assert from_s == pytest.approx(CAPTURE_s - 0.05, abs=0.02)
+        assert until_s == pytest.approx(CAPTURE_s + 0.05, abs=0.02)
+    assert touched
 
 
 def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():

@@ -26,11 +26,10 @@ from scipy.special import stdtr, stdtrit
 
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import DOUBT, HALF, INTERVAL, LIKELY_SIZE, MOST_SHARE, of_each
+from onboard.estimation.policy import DOUBT, HALF, INTERVAL, LIKELY_SIZE, MOST_SHARE, ODDS, of_each
 
 _ABSORBED = 0.01  # of a gain's information: what the parameters leave of a step at the release of a payload
 LEAST_STEP = 0.03  # of a gain: instruments creep, and gears ripple; intervals contain smaller ones
-_NEARLY = 0.8  # of the likeliest step's chi-squared: as Student's t of those few blocks it is as likely
 
 
 class Blocks(NamedTuple):
@@ -121,6 +120,8 @@ class GainTests:
 
         with ``I = E_kk - r E_0k``.
 
+        Between two recordings a gain has changed in as many cases as an instrument is wrong (:data:`ODDS`) in others.
+
         Args:
             recorded_s: when another recording begins.
         """
@@ -136,7 +137,7 @@ class GainTests:
         likely = np.divide(moved * moved, information, out=np.zeros(n), where=information > 0.0)
         k = int(np.argmax(likely))
         apart = [cut for cut in range(1, n) if times_s[cut - 1] < recorded_s <= times_s[cut]]
-        between = bool(apart and likely[apart[0]] > _NEARLY * likely[k])
+        between = bool(apart and 0.5 * (likely[k] - likely[apart[0]]) < -np.log(ODDS))
         k = apart[0] if between else k
         if not information[k] > 0.0:
             return None
