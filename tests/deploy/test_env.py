@@ -154,7 +154,8 @@ def test_without_arguments_all_tests_run_and_one_line_says_how_they_ended(machin
     assert (done.returncode, done.stderr.count("Error")) == (0, 0)
     tested = [line for line in done.stdout.splitlines() if line.startswith("tested with")]
     assert tested == [
-        "tested with -m pytest -m not realtime --numprocesses auto --dist loadfile --no-loadscope-reorder",
+        "tested with -m pytest -m not realtime and not campaign --numprocesses auto --dist loadfile "
+        "--no-loadscope-reorder",
         "tested with -m pytest -m realtime --numprocesses auto --dist worksteal tests/test_a.py tests/test_b.py",
     ]
     assert re.fullmatch(r"heft: 60 passed, 2 skipped in \d+ s", done.stdout.splitlines()[-1])
