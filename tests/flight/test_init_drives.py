@@ -23,7 +23,7 @@ def written(directory: Path, *arguments: str) -> Path:
     return directory / "it" / "vehicle.toml"
 
 
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("arm", [pytest.param("fixed cia402", marks=pytest.mark.campaign), "free dynamixel"])
 def test_the_file_as_written_flies_and_its_motion_is_made(arm: str, tmp_path: Path) -> None:
     path, log = written(tmp_path, *ARMS[arm]), tmp_path / "flight.mcap"
     mission = world(path, None, 8, 24.0)
