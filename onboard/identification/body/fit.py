@@ -339,17 +339,19 @@ class BodyModel:
         of, h = self._layout, windows.period_s
         forces, ahead = np.zeros((2, 3, windows.steps, len(moving), len(windows.start_s)))
         for j, valve in enumerate(self._thrusters.valves):
-            different, which = np.unique(self._opening(j, moving), axis=0, return_inverse=True)
-            each = [
-                valve.integrals(windows.grid_s, Opening(delay_s, loss_s, least_s))
-                for delay_s, loss_s in different.tolist()
-            ]
-            once, twice = np.array(each).transpose(1, 3, 0, 2)[:, :, which.ravel()]  # (steps + 1, b, k)
+            leak = moving[:, of["leak"]][:, j, None]
+            different, which = np.unique(  # most variants differ elsewhere
+                np.hstack([self._opening(j, moving), leak, self._full(j, moving)]), axis=0, return_inverse=True
+            )
+            hows = [(delay_s, loss_s) for delay_s, loss_s, *_ in different.tolist()]
+            integrals = {how: valve.integrals(windows.grid_s, Opening(*how, least_s)) for how in set(hows)}
+            once, twice = np.array([integrals[how] for how in hows]).transpose(1, 3, 0, 2)  # (steps + 1, u, k)
             level = np.diff(once, axis=0) / h
-            leak = moving[:, of["leak"]][:, j][:, None]
-            full = self._full(j, moving).T[:, None, :, None]
-            forces += full * (level + leak * (1.0 - level))
-            ahead += full * (1.0 - leak) * (np.diff(twice, axis=0) - 0.5 * h * (once[1:] + once[:-1]))
+            leak, full = different[:, 2, None], different[:, 3:].T[:, None, :, None]
+            of_this = full * (level + leak * (1.0 - level))
+            after = full * (1.0 - leak) * (np.diff(twice, axis=0) - 0.5 * h * (once[1:] + once[:-1]))
+            forces += of_this.take(which.ravel(), axis=2)
+            ahead += after.take(which.ravel(), axis=2)
         m, inertia = self._drawn[0] * np.exp(moving[:, :1]), self._drawn[2] * np.exp(moving[:, 3:4])
         over = np.stack([m, m, inertia])[:, None]
         state = begin.transpose(2, 0, 1)
