@@ -28,7 +28,7 @@ def test_an_arm_of_magnets_is_weighed_with(tmp_path):
     assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # two chips have noise of their own
 
 
-@pytest.mark.parametrize("kind", ["as5048a", "as5048b"])
+@pytest.mark.parametrize("kind", [pytest.param("as5048a", marks=pytest.mark.campaign), "as5048b"])
 def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path, kind):
     faults = [
         *("--fault", "field:joint_1:4:5:-0.7", "--fault", "field:joint_2:5:5.5:0.8", "--fault", "off:joint_2:6:6.5"),

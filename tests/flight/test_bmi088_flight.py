@@ -30,7 +30,9 @@ OF_I2C = "off:imu_base:3:4 nack:imu_base:5:5.3 timeout:imu_base:6:6.1 reset:imu_
 OF_SPI = "off:imu_base:3:4 unplug:imu_spi:5:5.5 silent:imu_base:6.7:7 reset:imu_base:7.5 garbage:imu_base:8.1:8.2"
 
 
-@pytest.mark.parametrize(("kind", "faults"), [("bmi088", OF_I2C), ("bmi088_spi", OF_SPI)])
+@pytest.mark.parametrize(
+    ("kind", "faults"), [("bmi088", OF_I2C), pytest.param("bmi088_spi", OF_SPI, marks=pytest.mark.campaign)]
+)
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path, kind, faults):
     asked = (word for fault in faults.split() for word in ("--fault", fault))
     result, log, _ = rehearsed(tmp_path, [*FREE, kind], *asked)

@@ -206,7 +206,7 @@ def test_the_phase_arms(bench, tmp_path):
     assert [batch.rows["code"][0] for batch in Arming(vehicle, tmp_path).started(Device(), 0)] == [b"drive_not_rearmed"]
 
 
-@pytest.mark.parametrize("seed", [2001, 2002, 2003])
+@pytest.mark.parametrize("seed", [2001, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (2002, 2003))])
 def test_random_faults(seed):
     outcome = fly(seed)
     assert outcome.is_safe

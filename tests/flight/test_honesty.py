@@ -92,6 +92,7 @@ def test_an_imu_that_warms_up_does_not_cost_the_answers(tmp_path: Path) -> None:
     assert (rows["gate"][later] & int(GateReason.DRAG) != 0).mean() < 0.05
 
 
+@pytest.mark.campaign  # a scale as the half of it
 def test_a_cell_of_the_wrong_sign_finds_no_body(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", -2.0, 0.0))
     assert standings(flown) == {"do not use"}
@@ -104,7 +105,10 @@ def test_a_release_that_is_told_by_a_glitch_is_outvoted_and_the_true_one_is_not(
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
 
 
-@pytest.mark.parametrize(("kind", "value", "code"), [("stuck", 0.0, "stuck"), ("wrong", -2.0, "left_out")])
+@pytest.mark.parametrize(
+    ("kind", "value", "code"),
+    [pytest.param("stuck", 0.0, "stuck", marks=pytest.mark.campaign), ("wrong", -2.0, "left_out")],
+)
 def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
     tmp_path: Path, kind: str, value: float, code: str
 ) -> None:

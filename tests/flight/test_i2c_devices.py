@@ -48,7 +48,10 @@ def codes_of(log, source):
     return events["code"][events["source"] == source].tolist()
 
 
-@pytest.mark.parametrize(("rate", "faults"), [(80, []), (320, ["--fault", "saturated:load_cell:5:6:1"])])
+@pytest.mark.parametrize(
+    ("rate", "faults"),
+    [pytest.param(80, [], marks=pytest.mark.campaign), (320, ["--fault", "saturated:load_cell:5:6:1"])],
+)
 def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(tmp_path, rate, faults):
     change = ("sample_rate_hz = 320 ", f"sample_rate_hz = {rate} ")
     result, log, _ = rehearsed(tmp_path, CELL, *faults, change=change)

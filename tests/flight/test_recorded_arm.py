@@ -136,7 +136,7 @@ def test_what_it_holds_is_weighed_by_an_empty_and_a_loaded_recording(lab: Path) 
     assert found["m_payload"]["sigma"] < 0.05 * LOAD_kg  # as one of the gains is known
 
 
-@pytest.mark.parametrize("delay_ms", [-35.0, 35.0])
+@pytest.mark.parametrize("delay_ms", [pytest.param(-35.0, marks=pytest.mark.campaign), 35.0])
 def test_a_torque_stamped_early_or_late_by_a_stated_delay_is_as_good(tmp_path: Path, delay_ms: float) -> None:
     """What the model leaves of the torques is that of the recording without a delay; unstated it is far more."""
     root = delayed(tmp_path, delay_ms)
@@ -153,8 +153,8 @@ def test_a_torque_stamped_early_or_late_by_a_stated_delay_is_as_good(tmp_path: P
 @pytest.mark.parametrize(
     ("gains", "drawn", "contradicted"),
     [
-        ((1.05, 0.95, 1.05), (1.0, 1.0, 1.0), ("_torque scale_sigma: taken ",)),
-        ((1.0, 1.0, 1.0), (1.2, 0.7, 1.2), ("prior.link.link_",)),
+        pytest.param((1.05, 0.95, 1.05), (1.0, 1.0, 1.0), ("_torque scale_sigma: taken ",), marks=pytest.mark.campaign),
+        pytest.param((1.0, 1.0, 1.0), (1.2, 0.7, 1.2), ("prior.link.link_",), marks=pytest.mark.campaign),
         ((0.95, 1.05, 0.95), (1.2, 0.7, 1.2), ("_torque scale_sigma: taken ", "prior.link.link_")),
     ],
 )

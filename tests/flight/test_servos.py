@@ -28,6 +28,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     assert codes_of(log, b"joint_2") == [b"identified"]
 
 
+@pytest.mark.campaign  # by currents above, by a bridge with AS5600s and AS5048s
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
     result, _, _ = rehearsed(tmp_path, WITH_CELL, swing=14.0, seed=6)
     honest(answers(result))

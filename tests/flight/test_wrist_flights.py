@@ -37,8 +37,8 @@ def seconds_of(log):
     [
         ("bota_ft", 400, 800, 7.9),  # the first second it starts
         pytest.param("bota_ft", 400, 100, 7.9, marks=pytest.mark.campaign),
-        ("robotous_rft", 200, 333, 8.5),
-        ("onrobot_hex", 500, 1000, 8.8),
+        pytest.param("robotous_rft", 200, 333, 8.5, marks=pytest.mark.campaign),
+        pytest.param("onrobot_hex", 500, 1000, 8.8, marks=pytest.mark.campaign),
     ],
 )
 def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
@@ -50,6 +50,7 @@ def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
         assert result["channels"][name]["missing"] == 0
 
 
+@pytest.mark.campaign  # a line that is unplugged: the Robotous's, too
 def test_a_bota_ft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tmp_path):
     faults = [
         *("unplug:tty_wrist:2:2.3", "reset:fx:4", "off:mz:5.5:5.8", "silent:fy:7.5:7.7"),
