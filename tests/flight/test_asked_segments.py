@@ -91,7 +91,12 @@ def test_what_is_not_to_be_played_is_refused(asked):
 
 
 @pytest.mark.parametrize(
-    "fault", [Fault("silent", "sync_box", 7.0, 7.05), Fault("trip", "elbow", 7.0), Fault("silent", "elbow", 7.0, 7.05)]
+    "fault",
+    [
+        Fault("silent", "sync_box", 7.0, 7.05),
+        Fault("trip", "elbow", 7.0),
+        pytest.param(Fault("silent", "elbow", 7.0, 7.05), marks=pytest.mark.campaign),
+    ],
 )
 def test_what_stops_a_motion_stops_it_between_segments_too(asked, fault):
     flown = asked(faults=[fault])

@@ -23,7 +23,9 @@ def test_the_short_mission_is_identified_when_nothing_is_wrong(short_mission: Re
     ("fault", "code", "text"),
     [
         ({"kind": "who_am_i", "device": "imu_base", "start_s": 0.0, "value": 0x42}, "wrong_device", "0x42"),
-        ({"kind": "nack", "device": "imu_base", "start_s": 0.0}, "no_answer", "0x68"),
+        pytest.param(
+            {"kind": "nack", "device": "imu_base", "start_s": 0.0}, "no_answer", "0x68", marks=pytest.mark.campaign
+        ),
     ],
 )
 def test_an_imu_that_is_wrong_or_silent_is_named_and_the_log_goes_on(

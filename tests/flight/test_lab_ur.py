@@ -12,7 +12,7 @@ from tests.flight.missions import fly
 
 SHORT = [
     {"phase": 0, "action": "hold", "duration_s": 1.0},
-    {"phase": 1, "action": "swing", "duration_s": 16.0, "swing": 0.7},
+    {"phase": 1, "action": "swing", "duration_s": 11.0, "swing": 0.7},
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 HELD = {"mass_kg": [2.0, 2.0], "size_mm": [100, 80, 80], "centre_of_mass_mm": [10, -15, 40]}
