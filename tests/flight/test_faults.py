@@ -58,6 +58,7 @@ def test_without_pulses_the_mission_is_still_identified(tmp_path: Path) -> None:
     assert abs(result.mass("m_tip_mass")["our_error_percent"]) < 5.0
 
 
+@pytest.mark.campaign  # of an encoder: test_fault_matrix; of IMUs: test_i2c_devices, test_bmi088_flight
 def test_a_brown_out_of_the_imu_is_a_gap_and_the_answer_survives(tmp_path: Path) -> None:
     fault = {"kind": "reset", "device": "imu_base", "start_s": 6.0, "end_s": 6.2}
     result = fly_with(tmp_path / "log.mcap", fault)
@@ -66,6 +67,7 @@ def test_a_brown_out_of_the_imu_is_a_gap_and_the_answer_survives(tmp_path: Path)
     assert abs(result.mass("m_tip_mass")["our_error_percent"]) < 5.0
 
 
+@pytest.mark.campaign  # on another mission: test_fault_campaign
 def test_lost_frames_are_gaps_that_add_up(tmp_path: Path) -> None:
     fault = {"kind": "frame_drop", "device": "can_0", "start_s": 7.0, "end_s": 7.05, "value": 0x182}
     result = fly_with(tmp_path / "log.mcap", fault)
