@@ -22,11 +22,11 @@ from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
 from onboard.ground.identify.kinds.likelihood_log import runs_of
+from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
-from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
-from onboard.identification.table.run import TableRun
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
@@ -47,21 +47,18 @@ class UnbrokenRun(NamedTuple):
     held: bool  # whether a payload is
 
 
-class _Recorder(TableRun):
+class _Recorder(TickRecorder):
     """Keeps ticks; rates of the base in its own axes."""
 
     def __init__(self, model: VehicleModel, R_BS: FloatArray, *, means: bool) -> None:
-        super().__init__(model.spec.payload_link or "payload")
+        super().__init__(model.spec.payload_link or "payload", len(model.joints))
         self._R_BS, self._means = R_BS, means  # whether what is measured is the IMU, and not the wrench
-        self.ticks = [Ticks.none(len(model.joints))]
-        self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         found = super().update(signals, attached, excluded)
         rate = signals.measured[:, :3] @ self._R_BS.T if self._means else signals.motion.rate_rad_s
         rate = np.where(np.asarray(excluded)[:, None] == 0, rate, np.nan)  # only free flight is predicted
-        self.ticks.append(ticks_of(signals, np.concatenate([rate, np.zeros_like(rate)], axis=1)))
-        self.attached.append(attached)
+        self.ticks[-1] = self.ticks[-1]._replace(measured=np.concatenate([rate, np.zeros_like(rate)], axis=1))
         return found
 
 

@@ -10,21 +10,20 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard import config
-from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.gates import ReasonArray
+from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.misread import JointReading, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.identification.standing import Level
-from onboard.identification.table.run import TableRun
 from onboard.identification.verdict import Verdict
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 from onboard.regressor.rows import RowModel, standing
-from onboard.regressor.signals import Signals
 
 
 class ArmReading(NamedTuple):
@@ -36,23 +35,6 @@ class ArmReading(NamedTuple):
     torque_factor: FloatArray  # (joints,) of these
     mistakes: int
     held_before: bool = False  # the payload is held in the recording that is said to be without it
-
-
-class _MotionRecorder(TableRun):
-    """Keeps the signals of rows."""
-
-    def __init__(self, rows: Sequence[str]) -> None:
-        super().__init__("payload")
-        self.row_names = tuple(rows)
-        self.parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]] = []
-
-    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Keeps ticks that no gate refuses."""
-        q, dq, ddq, measured = signals.q, signals.dq, signals.ddq, signals.measured
-        known = [np.isfinite(one).all(axis=1) for one in (q, dq, ddq, measured)]
-        whole = np.logical_and.reduce([excluded == 0, *known])
-        self.parts.append((q[whole], dq[whole], ddq[whole], measured[whole], attached[whole]))
-        return np.repeat(np.asarray(excluded, np.int64)[:, None], signals.measured.shape[1], axis=1)
 
 
 def with_mistake(vehicle: config.Vehicle, log: LogReader, judged: Verdict) -> Verdict:
@@ -74,12 +56,13 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     rows, joints = identifier.model, [joint.name for joint in model.joints]
     if [row.friction_joint for row in rows.rows] != joints:
         return ""
-    recorder = _MotionRecorder([row.name for row in rows.rows])
+    recorder = TickRecorder("payload", len(joints), rows=tuple(row.name for row in rows.rows))
     for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
         pass
-    parts = [np.concatenate(part) for part in zip(*recorder.parts, strict=True)]
-    some = slice(None, None, max(1, len(parts[0]) // MOST_TICKS))
-    recording = _ArmRecording(rows, identifier.taken.prior_root, *(part[some] for part in parts))
+    ticks, held = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
+    whole = np.flatnonzero(finite([ticks.q, ticks.dq, ticks.ddq, ticks.measured]))
+    some = whole[:: max(1, len(whole) // MOST_TICKS)]
+    recording = _ArmRecording(rows, identifier.taken.prior_root, ticks.part(some), held[some])
     n = len(joints)
     stated = ArmReading("", JointReading.stated(n), tuple(range(n)), np.ones(n), 0)
     if recording.ticks < SHORTEST:
@@ -101,15 +84,15 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
 class _ArmRecording:
     """Some ticks of a recording."""
 
-    def __init__(self, rows: RowModel, prior_root: FloatArray, *signals: FloatArray) -> None:
-        self._rows, self._root = rows, prior_root[:, prior_root.any(axis=0)]
-        self._q, self._dq, self._ddq, self._measured, self._held = signals
-        self.ticks = len(self._q)
+    def __init__(self, rows: RowModel, prior_root: FloatArray, ticks: Ticks, held: BoolArray) -> None:
+        self._rows, self._root, self._held = rows, prior_root[:, prior_root.any(axis=0)], held
+        self._joints, self._measured = (ticks.q, ticks.dq, ticks.ddq), ticks.measured
+        self.ticks = len(held)
         self.both = bool(self._held.any() and not self._held.all())  # with the payload and without
 
     def left(self, way: ArmReading) -> float:
         """Squares that are left over, of each torque as a share that is refused, and of what is stated, in sigmas."""
-        motion, n = way.angles.joints(self._q, self._dq, self._ddq), self.ticks
+        motion, n = way.angles.joints(*self._joints), self.ticks
         measured = way.torque_factor * self._measured[:, list(way.torque_order)]
         held = np.asarray(self._held != way.held_before, np.bool_)
         Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held)

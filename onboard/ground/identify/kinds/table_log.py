@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from onboard import config
-from onboard.estimation.arrays import BoolArray
+from onboard.estimation.arrays import BoolArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, named_refusals
 from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import uncorrelated_s
@@ -23,41 +23,33 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
 from onboard.ground.identify.kinds.likelihood_log import BaseResult, Kept, identified, longest_held
+from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.identification.free_flyer.batch import PayloadFit
-from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
+from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table import air_bearing, floating_base
-from onboard.identification.table.run import TableRun
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
 _UNDERWAY_m_s = 0.5  # sigma of the velocity at any time but the start
 
 
-class PlanarTickRecorder(TableRun):
-    """The onboard part; also keeps its ticks, without joints outside identification phases."""
-
-    def __init__(self, payload: str, joints: int) -> None:
-        super().__init__(payload)
-        self.kept: list[Ticks] = [Ticks.none(joints)]
-        self._told: list[BoolArray] = [np.zeros(0, np.bool_)]
+class PlanarTickRecorder(TickRecorder):
+    """Keeps ticks without joints outside identification phases; ``attached``: within."""
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """See :class:`TableRun`."""
-        found = super().update(signals, attached, excluded)
-        told = attached & ((excluded & GateReason.PHASE) == 0)
-        self._told.append(told)
-        q, dq, ddq = (np.where(told[:, None], x, np.nan) for x in (signals.q, signals.dq, signals.ddq))
-        measured = np.where(found == 0, signals.measured, np.nan)
-        self.kept.append(ticks_of(signals._replace(q=q, dq=dq, ddq=ddq), measured))
+        """See :class:`TickRecorder`."""
+        told: BoolArray = np.asarray(attached & ((excluded & GateReason.PHASE) == 0), np.bool_)
+        found = super().update(signals, told, excluded)
+        q, dq, ddq = (np.where(told[:, None], x, np.nan) for x in self.ticks[-1][1:4])
+        self.ticks[-1] = self.ticks[-1]._replace(q=q, dq=dq, ddq=ddq)
         return found
 
     def begins_at(self, time_s: float) -> bool:
         """Whether a run begins at a tick: none with joints is before it since there is something to identify."""
-        told = np.concatenate(self._told)
-        known = np.concatenate([np.isfinite(ticks.q).all(axis=1) for ticks in self.kept])
-        here = int(np.searchsorted(np.concatenate([ticks.time_s for ticks in self.kept]), time_s))
+        ticks, told = Ticks.joined(self.ticks), np.concatenate(self.attached)
+        known, here = finite([ticks.q]), int(np.searchsorted(ticks.time_s, time_s))
         silent = np.append(-1, np.flatnonzero(~told[:here]))
         return not known[silent[-1] + 1 : here].any()
 
@@ -82,7 +74,7 @@ def identify_table(vehicle: config.Vehicle, log: LogReader) -> Identified:
     )
     links, _, payload_sigma = free_flyer_prior(vehicle, model)
     refused = named_refusals(recorder.refused)
-    ticks = longest_held(recorder.kept, (), held=True, period_s=period_s)
+    ticks = longest_held(recorder.ticks, (), held=True, period_s=period_s)
     let_go = len(ticks.time_s) > 0 and recorder.begins_at(float(ticks.time_s[0]))
 
     def build(some: Ticks, first: bool) -> air_bearing.TableFit:

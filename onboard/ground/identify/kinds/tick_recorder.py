@@ -13,35 +13,37 @@ from onboard.regressor.signals import EncoderJump, Signals
 
 
 class TickRecorder(TableRun):
-    """Gates the ticks and keeps them."""
+    """Gates the ticks and keeps them.
 
-    def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
+    Args:
+        payload: link of which nothing is known.
+        joints: of the vehicle.
+        further: instruments.
+        rows: names of its lines, if these are not those of instruments on a base.
+
+    Attributes:
+        jumps: of encoders, by joint.
+    """
+
+    def __init__(
+        self, payload: str, joints: int, further: Sequence[Further] = (), rows: tuple[str, ...] | None = None
+    ) -> None:
         super().__init__(payload, further)
+        self.row_names = self.row_names if rows is None else rows
         self.ticks: list[Ticks] = [Ticks.none(joints, len(self.row_names))]
         self.attached: list[BoolArray] = [np.zeros(0, np.bool_)]
+        self.jumps = list[tuple[str, EncoderJump]]()
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Gates new ticks and keeps them."""
         found = super().update(signals, attached, excluded)
         self.ticks.append(ticks_of(signals, np.where(found == 0, signals.measured, np.nan)))
         self.attached.append(attached)
+        self.jumps += signals.jumps
         return found
 
 
 class JumpRecorder(TickRecorder):
-    """Keeps jumps of encoders, too.
-
-    Attributes:
-        jumps: of encoders, by joint.
-    """
+    """Is given jumps of encoders, too."""
 
     follows_jumps = True
-
-    def __init__(self, payload: str, joints: int, further: Sequence[Further]) -> None:
-        super().__init__(payload, joints, further)
-        self.jumps = list[tuple[str, EncoderJump]]()
-
-    def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
-        """Gates new ticks and keeps them."""
-        self.jumps += signals.jumps
-        return super().update(signals, attached, excluded)

@@ -63,7 +63,7 @@ class Ticks(NamedTuple):
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
     thrust: FloatArray  # (n, k) of the thrusters, N, means
 
-    def part(self, which: slice) -> "Ticks":
+    def part(self, which: slice | IndexArray) -> "Ticks":
         """A part of the ticks."""
         return Ticks(*(x[which] for x in self))
 
