@@ -92,7 +92,7 @@ class Asking:
         self.own: list[FloatArray | None] = [None] * len(library.names)  # information roots about the present estimate
         self._turn = 0  # segment that is linearised next
         self.ratios: list[float] = []  # at each request
-        self._number = self.since_change = self._unmoved = 0
+        self._number = self.since_change = self._unmoved = 0  # the last: requests from the last that moved the arm
         self._over = self.moved = self._asks = False
         self._held_s: float | None = None  # since when a payload is
         self._met_s: float | None = None  # since when the goal is met

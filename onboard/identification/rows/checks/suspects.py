@@ -27,7 +27,6 @@ import numpy as np
 from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
-    FARTHEST_SIZE,
     LIKELY_SIZE,
     MISFIT_PART,
     MOST_SHARE,
@@ -55,7 +54,7 @@ from onboard.regressor.signals import Signals
 
 _UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
-_FAR = sigmas(READING)  # rows beyond contradict; beyond FARTHEST_SIZE they weigh less
+_HUBER, _FAR = 3.0, sigmas(READING)  # rows beyond weigh less (Huber 1964); contradict
 _TINY = float(np.finfo(np.float64).tiny)
 _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
     ("joint_zero", "zero", LIKELY_SIZE),
@@ -253,7 +252,7 @@ class RowSuspects:
         J = np.concatenate([slope[..., :p] @ self._half, slope[..., p:] * self._sigma], axis=2)
         r = ticks.measured - reading
         far = np.abs(r) * np.sqrt(ticks.weight / noise)
-        weight = ticks.weight / noise * np.minimum(1.0, FARTHEST_SIZE / np.maximum(far, FARTHEST_SIZE))
+        weight = ticks.weight / noise * np.minimum(1.0, _HUBER / np.maximum(far, _HUBER))
         flat = J.reshape(-1, len(z))
         weighted = flat * weight.reshape(-1, 1)
         target = r + J @ z
@@ -342,7 +341,7 @@ class _Left(NamedTuple):
             lag: ticks, between which the smoothing makes nothing alike.
         """
         left = self.target - self.slope @ z
-        squares = np.minimum(left**2 * self.ticks.weight, FARTHEST_SIZE**2 * before)
+        squares = np.minimum(left**2 * self.ticks.weight, _HUBER**2 * before)
         count = (self.ticks.weight > 0.0).sum(axis=0)
         each = np.sign(left) * np.sqrt(squares)
         alike = (each[lag:] * each[:-lag]).sum(axis=0) / np.maximum(squares[lag:].sum(axis=0), _TINY)
