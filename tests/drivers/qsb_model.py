@@ -104,8 +104,10 @@ class QsbModel:
         return self.registers[register]
 
     def edge(self, rising: bool = True) -> bytes:
-        """The sync line changes; what the adapter says."""
-        said = b""
+        """The sync line changes; what the adapter says: first the positions of before, as its lines are in order of time."""
+        now_ns, clock = self.clock(), self.clock
+        self.clock = lambda: now_ns
+        said = b"".join(self.due())
         self._level = int(rising)
         mode = self.registers[0x02]
         if (mode, rising) in {(0x010, True), (0x011, False)}:
@@ -114,6 +116,7 @@ class QsbModel:
                 said += self.line("s", 0x05, self.registers[0x05])
         if 0x01 in self.streams:
             said += self.line("s", 0x01, self._value(0x01))
+        self.clock = clock
         return said
 
     def due(self) -> list[bytes]:
