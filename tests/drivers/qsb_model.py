@@ -104,7 +104,7 @@ class QsbModel:
         return self.registers[register]
 
     def edge(self, rising: bool = True) -> bytes:
-        """The sync line changes; what the adapter says: first the positions of before, as its lines are in order of time."""
+        """The sync line changes; what the adapter says, in order of time: first the positions of before."""
         now_ns, clock = self.clock(), self.clock
         self.clock = lambda: now_ns
         said = b"".join(self.due())
