@@ -18,13 +18,14 @@ else both are as likely, and the mixture is of both. An error that all axes shar
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.linalg import lapack
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from onboard.estimation.arrays import FloatArray, hat, scatter
 from onboard.estimation.calibration.wrist_model import (
@@ -52,6 +53,7 @@ _POOLED = 3.0  # degrees of freedom that the other axes lend to the variance of 
 _ROUNDS = 25
 _CLOSE = 1e-3  # change of the standard deviations' logarithms in a round: they have converged
 _FINEST = 1e-6  # noise over the largest reading, at the least: 20 bits, finer than transducers resolve
+_OF_ITS_KIND = np.kron(np.eye(2), 0.5 * (1.0 - np.eye(3)))  # half of what the two others of an axis' kind say
 _LOCAL = 9  # poses about one, whose median is the zero there
 
 
@@ -71,6 +73,7 @@ class PoseFit(NamedTuple):
         covariance: (45, 45) of mass, first moment, mounting and tilt (small turns), scales, cross-talk.
         noise: estimated.
         residual: (n, 6) readings less the model's, zeros and all, in the readings' units.
+        left: (n - 1, 6) its :func:`coefficients`.
         evidence: logarithm of the marginal likelihood; differences between fits of the same readings count.
     """
 
@@ -78,7 +81,38 @@ class PoseFit(NamedTuple):
     covariance: FloatArray
     noise: Noise
     residual: FloatArray
+    left: FloatArray
     evidence: float
+
+
+class _Readings(NamedTuple):
+    """Poses and wrenches as of :func:`fit`, and what each round takes of them."""
+
+    R: FloatArray  # (n, 3, 3)
+    wrench: FloatArray  # (n, 6)
+    largest: tuple[float, float]  # force and moment
+    elements: FloatArray  # (n, 9) of R'
+    turned: FloatArray  # (n - 1, 9) their coefficients
+    read: FloatArray  # (n - 1, 6) of the wrenches
+    floor: FloatArray  # (6,) the least noise of each axis
+
+    @classmethod
+    def of(cls, R: FloatArray, wrench: FloatArray) -> "_Readings":
+        turned = elements(R)
+        return cls(R, wrench, _largest(wrench), turned, coefficients(turned), coefficients(wrench), _floor(wrench))
+
+
+class _At(NamedTuple):
+    """A state, and the model there."""
+
+    state: Linearisation
+    made: FloatArray  # (6, 9) readings by the elements of R'
+    J: FloatArray  # (6, 45, 9)
+    values: FloatArray  # (45,)
+
+    @classmethod
+    def of(cls, state: Linearisation, prior: Priors) -> "_At":
+        return cls(state, *linearised(state, prior), values_of(state))
 
 
 class Weighing(NamedTuple):
@@ -119,19 +153,24 @@ def fit(
     """
     if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
-    floor, turned = _floor(wrench), coefficients(elements(R))
+    return _rounds(_Readings.of(R, wrench), prior, rounds, begin)
+
+
+def _rounds(own: _Readings, prior: Priors, rounds: int, begin: PoseFit | None) -> PoseFit:
+    """As of :func:`fit`."""
     if begin is None:
+        R, wrench = own.R, own.wrench
         state = begun(R, wrench, prior)
         sigma = scatter(np.diff(wrench - predicted(R, state, prior), axis=0)) / np.sqrt(2.0)
-        one = _fit(R, wrench, prior, state, Noise(np.maximum(sigma, floor), np.zeros(6), prior.scale))
+        noise = Noise(np.maximum(sigma, own.floor), np.zeros(6), prior.scale)
     else:
-        one = _fit(R, wrench, prior, begin.state, begin.noise)
+        state, noise = begin.state, begin.noise
+    one, at = _fit(own, prior, _At.of(state, prior), noise)
     for _ in range(rounds):
-        J = linearised(one.state, prior)[1]
-        hanging = J.transpose(0, 2, 1) @ one.covariance @ J  # (6, 9, 9)
-        noise = _noise(one, ((turned @ hanging) * turned).sum(axis=-1).T, prior, floor)
+        hanging = at.J.transpose(0, 2, 1) @ one.covariance @ at.J  # (6, 9, 9)
+        noise = _noise(one, ((own.turned @ hanging) * own.turned).sum(axis=-1).T, prior, own.floor)
         change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
-        one = _fit(R, wrench, prior, one.state, noise)
+        one, at = _fit(own, prior, at, noise)
         if change < _CLOSE:
             break
     return one
@@ -147,18 +186,20 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> W
         first: by :func:`fit`.
     """
     wide = np.vstack([np.zeros(6), np.eye(6)]) > 0.0  # of which the scale is unknown: none, or one
+    own = _Readings.of(R, wrench)
     every = list[tuple[PoseFit, FloatArray, float]]()
     for odd, odds in zip(wide, [0.0, *[_ALONE] * 6], strict=True):
         one = None if odd.any() else first
         for spread, likely in zip(SPREADS, _ALL, strict=True):
             each = np.where(odd, SPREADS[-1], spread)
-            if one is not first or spread > 1.0:
-                one = fit(R, wrench, prior._replace(spreads=tuple(each.tolist())), begin=one)
-            every.append((one, each, float(likely + odds)))
+            its = prior._replace(spreads=tuple(each.tolist()))
+            if one is first and spread <= 1.0:
+                made, _ = _fit(own, its, _At.of(first.state, prior), first.noise)
+            else:
+                one = made = _rounds(own, its, _ROUNDS, one)
+            every.append((made, each, float(likely + odds)))
+    fits = tuple(made for made, *_ in every)
     spreads = np.array([spread for _, spread, _ in every])
-    fits = tuple(
-        _fit(R, wrench, prior._replace(spreads=tuple(spread.tolist())), of.state, of.noise) for of, spread, _ in every
-    )
     logs = np.array([one.evidence for one in fits]) + [likely for *_, likely in every]
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
@@ -184,12 +225,12 @@ def interval(
     whole = float(np.sqrt(w @ (sigma**2 + (mean - middle) ** 2)))
 
     def end(chance: float) -> float:
-        low, high = middle - 1e3 * float(sigma.max()), middle + 1e3 * float(sigma.max())
-        for _ in range(80):  # bisection
-            at = 0.5 * (low + high)
+        ends = mean + stdtrit(weighing.freedom, chance) * sigma  # of each, and between them that of the mixture
+        low, high = float(ends.min()), float(ends.max())
+        while low < (at := 0.5 * (low + high)) < high:  # bisection
             below = float(w @ stdtr(weighing.freedom, (at - mean) / sigma))
             low, high = (at, high) if below < chance else (low, at)
-        return 0.5 * (low + high)
+        return at
 
     return middle, whole, end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))
 
@@ -268,22 +309,29 @@ def _medians(values: FloatArray) -> FloatArray:
 
 def _floor(wrench: FloatArray) -> FloatArray:
     """The least noise of each axis, (6,)."""
-    return _FINEST * np.repeat([_largest(wrench[:, :3]), _largest(wrench[:, 3:])], 3)
+    return _FINEST * np.repeat(_largest(wrench), 3)
 
 
-def _largest(values: FloatArray) -> float:
-    return max(float(np.abs(values).max()), 1e-9)
+def _largest(wrench: FloatArray) -> tuple[float, float]:
+    """Force and moment."""
+    force, moment = np.abs(wrench).reshape(-1, 2, 3).max(axis=(0, 2)).tolist()
+    return max(force, 1e-9), max(moment, 1e-9)
 
 
 def prior_sigmas(wrench: FloatArray, prior: Priors, cross: float) -> FloatArray:
     """Prior sigma of the unknowns, (45,)."""
+    return _sigmas(_largest(wrench), prior, cross)
+
+
+def _sigmas(largest: tuple[float, float], prior: Priors, cross: float) -> FloatArray:
+    force, moment = largest
     g = float(np.linalg.norm(prior.gravity_m_s2))
-    force, moment = _largest(wrench[:, :3]), _largest(wrench[:, 3:])
     scales = [prior.scale * spread for spread in prior.spreads]
     wide = [_WIDE * force / g, *[_WIDE * max(moment, 0.1 * force) / g] * 3]
     return np.array([*wide, *[prior.mounting_rad] * 3, *[prior.tilt_rad] * 2, *scales, *[cross] * 30])
 
 
+@cache
 def _eigenvalues(n: int) -> FloatArray:
     """Of the walk's information, without the constant, (n - 1,)."""
     return np.asarray(4.0 * np.sin(0.5 * np.pi * np.arange(1, n) / n) ** 2, np.float64)
@@ -294,32 +342,34 @@ def variances(noise: Noise, n: int) -> FloatArray:
     return np.asarray(noise.sigma**2 + noise.walk**2 / _eigenvalues(n)[:, None], np.float64)
 
 
-def _fit(R: FloatArray, wrench: FloatArray, prior: Priors, state: Linearisation, noise: Noise) -> PoseFit:
+def _fit(own: _Readings, prior: Priors, at: _At, noise: Noise) -> tuple[PoseFit, _At]:
     """Gauss-Newton to the most likely state with a given noise."""
-    spread, sigmas = variances(noise, len(R)), prior_sigmas(wrench, prior, noise.cross)
+    spread, sigmas = variances(noise, len(own.R)), _sigmas(own.largest, prior, noise.cross)
     information = sigmas**-2.0
-    turned, read = coefficients(elements(R)), coefficients(wrench)
+    turned = own.turned
     # The normal equations' sums over the poses, before the loop: readings are linear in R'.
     S = (turned.T[None] / spread.T[:, None]) @ turned  # (6, 9, 9)
-    b = (turned.T @ (read / spread)).T  # (6, 9)
+    b = (turned.T @ (own.read / spread)).T  # (6, 9)
     for _ in range(_ROUNDS):
-        made, J = linearised(state, prior)
-        A = J.transpose(1, 0, 2).reshape(UNKNOWNS, 54)
-        H = (J @ S).transpose(1, 0, 2).reshape(UNKNOWNS, 54) @ A.T
-        gradient = A @ (b - (S @ made[..., None])[..., 0]).ravel()
+        A = at.J.transpose(1, 0, 2).reshape(UNKNOWNS, 54)
+        H = (at.J @ S).transpose(1, 0, 2).reshape(UNKNOWNS, 54) @ A.T
+        gradient = A @ (b - (S @ at.made[..., None])[..., 0]).ravel()
         H.flat[:: UNKNOWNS + 1] += information
         unit = 1.0 / np.sqrt(H.diagonal())  # of very different units
-        U = np.linalg.cholesky(H * unit * unit[:, None]).T
-        whitened, _ = lapack.dtrtrs(U, unit * (gradient - values_of(state) * information), trans=1)
-        state = moved(state, unit * lapack.dtrtrs(U, whitened)[0])
+        L, singular = lapack.dpotrf(H * unit * unit[:, None], lower=1)
+        if singular:
+            raise np.linalg.LinAlgError("the poses and what is known before leave an unknown open")
+        whitened, _ = lapack.dtrtrs(L, unit * (gradient - at.values * information), lower=1)
+        at = _At.of(moved(at.state, unit * lapack.dtrtrs(L, whitened, lower=1, trans=1)[0]), prior)
         if np.abs(whitened).max() < _CLOSE:
             break
-    residual, off = wrench - predicted(R, state, prior), values_of(state)
-    squares = float((coefficients(residual) ** 2 / spread).sum() + ((off / sigmas) ** 2).sum())
-    volume = float(np.log(unit / np.diag(U)).sum())
+    residual = own.wrench - own.elements @ at.made.T
+    left = own.read - own.turned @ at.made.T
+    squares = float((left**2 / spread).sum() + ((at.values / sigmas) ** 2).sum())
+    volume = float(np.log(unit / np.diag(L)).sum())
     evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
-    root, _ = lapack.dtrtrs(U, np.diag(unit), trans=1)
-    return PoseFit(state, root.T @ root, noise, residual, evidence)
+    root, _ = lapack.dtrtrs(L, np.diag(unit), lower=1)
+    return PoseFit(at.state, root.T @ root, noise, residual, left, evidence), at
 
 
 def _noise(one: PoseFit, hanging: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
@@ -340,13 +390,19 @@ def _walks(one: PoseFit, hanging: FloatArray) -> tuple[FloatArray, FloatArray, F
     coefficients by that of the unknowns, (n - 1, 6).
     """
     n = len(one.residual)
-    squares = coefficients(one.residual) ** 2 + hanging
+    squares = one.left**2 + hanging
     pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
-    inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)
+    inflated, lost, volume = _inflated(n)
     count = n - 1 + _POOLED
-    variance = (np.einsum("ja,kj->ka", squares, 1.0 / inflated) + _POOLED * pooled) / count
-    likelihood = -0.5 * (count * np.log(variance) + np.log(inflated).sum(axis=1)[:, None])
-    others = likelihood @ np.kron(np.eye(2), 0.5 * (1.0 - np.eye(3)))  # half of what the two of its kind say
-    likelihood = likelihood + others
+    variance = (np.einsum("ja,kj->ka", squares, lost) + _POOLED * pooled) / count
+    likelihood = -0.5 * (count * np.log(variance) + volume)
+    likelihood = likelihood + likelihood @ _OF_ITS_KIND
     weights = np.exp(likelihood - likelihood.max(axis=0))
     return weights / weights.sum(axis=0), variance, inflated
+
+
+@cache
+def _inflated(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What walks multiply the variances of n poses by, (walks, n - 1), its inverse, and its volume, (walks, 1)."""
+    inflated = 1.0 + (_WALKS[:, None] ** 2) / _eigenvalues(n)
+    return inflated, 1.0 / inflated, np.log(inflated).sum(axis=1)[:, None]

@@ -13,8 +13,9 @@ from onboard.estimation.calibration.rotations import rotation_vector, turn
 FIRST_MOMENT, MOUNTING, TILT, SCALES, CROSS = slice(1, 4), slice(4, 7), slice(7, 9), slice(9, 15), slice(15, 45)
 UNKNOWNS = 45  # the mass is the first
 _OFF = np.array([1, 2, 3, 5, 6, 7])  # elements of X that are not on its diagonal
-_HATS = hat(np.eye(3))  # of the axes
 _AXES = np.arange(6)
+_EYE, _AS_IS = np.eye(3), np.eye(6)
+_HATS = hat(_EYE)  # of the axes
 REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of those that arms carry
 # Of scales and cross-talk, (36,): the reading, what of (m d, p x d) is taken, and times what.
 _READING = np.concatenate([_AXES, _OFF // 3, 3 + _OFF // 3, np.repeat(_AXES, 3)])
@@ -54,7 +55,7 @@ class Linearisation(NamedTuple):
     @property
     def levers(self) -> tuple[FloatArray, FloatArray]:
         """Readings by m d and by p x d, (6, 3) each: 1 + S + X, and X' with L."""
-        both = np.eye(6)
+        both = _AS_IS.copy()
         both[_READING, _TAKEN] += np.concatenate([self.scales, self.cross]) * _TIMES
         return both[:, :3], both[:, 3:]
 
@@ -87,7 +88,7 @@ def linearised(state: Linearisation, prior: Priors) -> tuple[FloatArray, FloatAr
     by[:, 0] = of_weight
     by[:, FIRST_MOMENT] = (of_moment @ _HATS).transpose(1, 0, 2)  # p x d = -d x p
     by[:, MOUNTING] = (A @ _HATS).transpose(1, 0, 2)
-    by[_READING, _SCALES_AND_CROSS] = np.concatenate([state.mass * np.eye(3), p])[_TAKEN] * _TIMES[:, None]
+    by[_READING, _SCALES_AND_CROSS] = np.concatenate([state.mass * _EYE, p])[_TAKEN] * _TIMES[:, None]
     J = by @ d
     tilts = -(A @ state.mounting)[:, None, :, None] * (hat(down) @ level).T[:, None]  # (6, 2, 3, 3)
     J[:, TILT] = tilts.reshape(6, 2, 9)

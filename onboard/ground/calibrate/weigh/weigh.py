@@ -116,18 +116,20 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     found = [(poses, _positive(one), count) for poses, one, count in _fits(meaning, known, tell)]
     most = max(one.evidence for _, one, _ in found)
     near = [each for each in found if each[1].evidence > most + np.log(ODDS)]
-    poses, first, count = near[0]
+    poses, rough, count = near[0]
     said_down, known = known.down is not None, known._replace(down=poses.convention.down)
     prior, groups = known.prior, count.pop("groups")
-    others = tuple((other.convention, one.evidence - first.evidence) for other, one, _ in found)
+    others = tuple((other.convention, one.evidence - rough.evidence) for other, one, _ in found)
     tell("whether it is a single body")
-    changed = change(poses, prior, wrist.fit(poses.R, poses.wrench, prior))
+    first = wrist.fit(poses.R, poses.wrench, prior)
+    changed = change(poses, prior, first)
     tell("rows that contradict the others")
     out = wrist.outliers(poses.R, poses.wrench, prior)
     if (~out).sum() < max(4, len(out) // 2):
         out = np.zeros_like(out)
-    poses = poses._replace(R=poses.R[~out], wrench=poses.wrench[~out])
-    first = wrist.fit(poses.R, poses.wrench, prior)
+    if out.any():
+        poses = poses._replace(R=poses.R[~out], wrench=poses.wrench[~out])
+        first = wrist.fit(poses.R, poses.wrench, prior)
     tell("what may be wrong with the axes")
     wrong = _wrong_axes(poses, prior, first, known.said)
     if wrong is None:
