@@ -27,11 +27,11 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.windows import SHORTEST
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
-SHORTEST_S = 0.25  # a throw by hand
 _EVENTS = "event" + SUFFIX
 
 
@@ -91,12 +91,13 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
         changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])
     runs = runs_of(ticks, changes, held, period_s)
     best = max(runs, key=lambda run: (run.payload > 0, run.ticks.stop - run.ticks.start), default=None)
-    if best is None or (best.ticks.stop - best.ticks.start) * period_s < SHORTEST_S:
+    longest = round(longest_s / period_s)
+    if best is None or min(best.ticks.stop - best.ticks.start, longest) < SHORTEST:
         raise ChannelError(
-            f"{log.path}: no {SHORTEST_S:g} s without a gap in joints and gyro while the payload stays the same; "
-            "heft info says what is missing"
+            f"{log.path}: no {SHORTEST * period_s:g} s without a gap in joints and gyro while the payload stays the "
+            "same; heft info says what is missing"
         )
-    part = ticks.part(slice(max(best.ticks.start, best.ticks.stop - round(longest_s / period_s)), best.ticks.stop))
+    part = ticks.part(slice(max(best.ticks.start, best.ticks.stop - longest), best.ticks.stop))
     payload_held = best.payload > 0 and model.spec.payload_link is not None
     time_s = part.time_s - 1e-9 * (Interleaved(log, estimator.inputs).start_ns or 0)
     return UnbrokenRun(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)

@@ -20,12 +20,12 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.policy import LIKELY_SIZE, MISFIT_PART, MOSTLY, REFUSE, of_each
+from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, MISFIT_PART, MOSTLY, REFUSE, of_each
 from onboard.identification.rows.checks.gain import Blocks, GainError, GainTests
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
-MOST_UNEXPLAINED = 0.3  # of what was measured, left over by the fit
+MOST_UNEXPLAINED = FARTHEST_SIZE * LIKELY_SIZE  # of what was measured, left over by the fit: by the farthest scale
 LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
 
 
