@@ -13,7 +13,7 @@ from scipy.special import chdtri
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import READING
 
-_CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
+CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
 WINDOW_s = 0.3  # in which size and roughness are judged
 _ALLOWED = 1.2  # factor of the variance: of a sensor that is a tenth noisier than stated
 
@@ -51,7 +51,7 @@ def roughness(readings: FloatArray, sigma: FloatArray, period_s: float) -> Float
         sigma: (n, m).
         period_s: between ticks.
     """
-    width = 2 * round(0.5 * _CUBIC_s / period_s) + 1
+    width = 2 * round(0.5 * CUBIC_s / period_s) + 1
     if len(readings) < width:
         return np.full(len(readings), np.nan)
     kernel = -_cubic(width)

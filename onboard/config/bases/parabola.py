@@ -7,8 +7,8 @@ class Parabola(Section):
     """How a log is cut into runs; each is estimated when the flight is over, and the runs are pooled.
 
     ``low``: specific force of the base's IMU below which the aircraft flies a parabola. ``free``: below which nothing
-    holds the vehicle. ``settle``: left out after a release, before a catch and about a bump. ``shortest``: free flight
-    that is a run.
+    holds the vehicle. ``settle``: left out after a release, before a catch and about a bump, a
+    contact that lasts no longer. ``shortest``: free flight that is a run.
     """
 
     low_m_s2: Positive = 3.0

@@ -7,8 +7,8 @@
 | FREE | the release: nothing but the instrument's noise and what the arm does |
 | MOTION | the arm moves while nothing holds the vehicle |
 
-From FREE and MOTION a contact leads back to HELD. If the vehicle is free again within ``BUMP_S`` the contact was a
-bump, and the run goes on with another momentum; otherwise it was the catch, and ends the run.
+From FREE and MOTION a contact leads back to HELD. A contact shorter than ``settle_s`` was a bump, and the run goes on
+with another momentum; a longer one was the catch, and ends the run.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,9 @@ import numpy as np
 
 from onboard.config.bases.parabola import Parabola
 from onboard.estimation.arrays import BoolArray, FloatArray, gaps
-from onboard.estimation.free_fall import WINDOW_s, is_free
+from onboard.estimation.free_fall import CUBIC_s, WINDOW_s, is_free
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s, Ticks
-
-BUMP_S = 0.9  # longest contact that is no catch
-_PAUSE_S = 0.4  # between strokes of one motion
+from onboard.identification.windows import SHORTEST
 
 
 class Stage(StrEnum):
@@ -96,13 +94,14 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[ParabolaRun]:
     at = np.array(stages(ticks, period_s, settings))
     joints = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
     found: list[ParabolaRun] = []
+    bump_s = settings.settle_s + CUBIC_s + WINDOW_s  # of a contact, with what is not free beside it
     fall = [one for one in _spans(at != Stage.SECURED) if (one.stop - one.start) * period_s >= settings.shortest_s]
     for number, low in enumerate(fall):
         flying = (at == Stage.FREE) | (at == Stage.MOTION)
         flying[: low.start], flying[low.stop :] = False, False
         groups: list[list[slice]] = []
         for part in (one for one in _spans(flying) if (one.stop - one.start) * period_s > 2.0 * settings.settle_s):
-            if groups and (part.start - groups[-1][-1].stop) * period_s <= BUMP_S:
+            if groups and (part.start - groups[-1][-1].stop) * period_s <= bump_s:
                 groups[-1].append(part)
             else:
                 groups.append([part])
@@ -123,7 +122,7 @@ def _run(
     release_s, catch_s = float(time_s[parts[0].start]), float(time_s[parts[-1].stop - 1])
     bumps = tuple(float(0.5 * (time_s[a.stop - 1] + time_s[b.start])) for a, b in pairwise(parts))
     moving = (at == Stage.MOTION) & _within(len(at), parts)
-    motions = _motions(moving, time_s, period_s)
+    motions = _motions(moving, time_s)
     inside = [slice(one.start + margin, one.stop - margin) for one in parts]
     whole = [piece for one in inside for piece in _where(joints, one) if piece.stop - piece.start > 2 * margin]
     reason = ""
@@ -157,15 +156,15 @@ def _moving(dq: FloatArray) -> BoolArray:
     return np.asarray((np.nan_to_num(np.abs(dq)) > RESTS_rad_s).any(axis=1), np.bool_)
 
 
-def _motions(moving: BoolArray, time_s: FloatArray, period_s: float) -> tuple[TickSpan, ...]:
+def _motions(moving: BoolArray, time_s: FloatArray) -> tuple[TickSpan, ...]:
     """Motions; a pause between strokes belongs to one."""
     found: list[slice] = []
     for one in _spans(moving):
-        if found and (one.start - found[-1].stop) * period_s <= _PAUSE_S:
+        if found and one.start - found[-1].stop < SHORTEST:
             found[-1] = slice(found[-1].start, one.stop)
         else:
             found.append(one)
-    long = [one for one in found if (one.stop - one.start) * period_s > _PAUSE_S]
+    long = [one for one in found if one.stop - one.start >= SHORTEST]
     return tuple(TickSpan(float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
 
 
