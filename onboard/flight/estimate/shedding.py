@@ -9,10 +9,9 @@ accordingly. Each TICK record says how much was left out before it, so that a re
 rows.
 """
 
-LATE_NS = 2_000_000_000  # it is reported
-SKIP_NS, LEFT_NS = 8_000_000_000, 1_000_000_000  # the rings hold 12 s
+SKIP_NS, LATE_NS = 8_000_000_000, 1_000_000_000  # the rings hold 12 s; that is reported, and left where rows are
 
 
 def to_skip_ns(behind_ns: int) -> int:
     """How much of the oldest rows to leave out; ``behind_ns``: from the last row that has been consumed to now."""
-    return behind_ns - LEFT_NS if behind_ns > SKIP_NS else 0
+    return behind_ns - LATE_NS if behind_ns > SKIP_NS else 0

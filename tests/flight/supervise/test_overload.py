@@ -10,7 +10,7 @@ import pytest
 from drivers.records import Rows
 from onboard import config
 from onboard.flight.estimate.estimation import LONGEST_STEP_NS, DurableEstimation
-from onboard.flight.estimate.shedding import LEFT_NS, SKIP_NS
+from onboard.flight.estimate.shedding import LATE_NS, SKIP_NS
 from onboard.flight.supervise import runner_processes
 from onboard.flight.supervise.runner_forks import ForkServer
 from onboard.flight.supervise.runner_processes import Worker
@@ -157,7 +157,7 @@ def test_at_a_quarter_of_the_cpu_rows_are_left_out_by_the_rule_and_the_log_repla
     assert left_out["arm_phase"] == left_out["pulse"] == 0
     assert left_out["imu_base"] > 5000
     skipped_ns = ticks["skipped_ns"][ticks["skipped_ns"] > 0]
-    assert skipped_ns.min() > SKIP_NS - LEFT_NS  # in few pieces: windows need seconds without a hole
+    assert skipped_ns.min() > SKIP_NS - LATE_NS  # in few pieces: windows need seconds without a hole
     taken_s = 30.0 - 1e-9 * skipped_ns.sum()
     assert 6.5 < taken_s < 7.5 + 1e-9 * SKIP_NS  # a quarter, and at most what waits at the end
     said = [row["text"].decode() for row in events if row["code"] == b"estimator_skips"]
