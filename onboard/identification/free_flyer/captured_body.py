@@ -3,8 +3,7 @@
 Ticks about a change that may be a capture are kept until it is classified. Once the payload is known, its momentum is
 what vehicle and payload have together after the capture, less what the vehicle alone would have
 (:mod:`onboard.identification.free_flyer.before_capture`). As the payload becomes better known it is estimated again,
-each time half as many more ticks have been used, for up to a minute: the zeros of the IMU at the capture are known only
-so long.
+each time half as many more ticks have been used, with the zeros of the IMU at the capture as they were known best.
 """
 
 from typing import Final, NamedTuple
@@ -34,7 +33,6 @@ UNITS: Final = (*["m/s"] * 3, *["rad/s"] * 3)
 _EXPECTED: Final = np.repeat([0.1, 1.0], 3)  # m/s, rad/s: how bodies may come; see SUPPORTED_SHRINKAGE
 _KEPT_s: Final = 2.5  # ticks before a change is noticed
 _AGAIN: Final = 1.5  # growth of the number of ticks at which the estimate is made again
-_LONGEST_s: Final = 60.0  # after the capture
 
 
 class _Touch(NamedTuple):
@@ -59,6 +57,7 @@ class CapturedBody:
         self._suspected: _Touch | None = None  # not classified
         self._captured: _Touch | None = None
         self._told: BeforeCapture | None = None
+        self._zeros: list[Zeros] = []  # as they were known best
         self._failure, self._once = "", False
         self._used, self._next = 0, 0.0  # ticks at which it was reported last, and is due again
 
@@ -90,7 +89,7 @@ class CapturedBody:
                 self._suspected = _Touch(early_s, late_s)
             self._captured, self._suspected = self._suspected, None
             self._told, self._failure, self._once = None, "", True
-            self._used, self._next = 0, 0.0
+            self._used, self._next, self._zeros = 0, 0.0, []
         elif change.kind in ("ejection", "capture_contradicted"):
             self._captured = self._suspected = self._told = None
         else:
@@ -128,10 +127,8 @@ class CapturedBody:
     @property
     def due(self) -> bool:
         """It is due, if the payload is known."""
-        used, longest = self._ekf.ticks_used, _LONGEST_s / self._ekf.predictor.period_s
-        ready = self._captured is not None and self._captured.ticks is not None
-        anew = used < self._used  # the payload has been found again
-        return ready and (anew or (used >= self._next and (self._told is None or used <= longest)))
+        used, ready = self._ekf.ticks_used, self._captured is not None and self._captured.ticks is not None
+        return ready and (used < self._used or used >= self._next)  # fewer: the payload has been found again
 
     def tell(self, payload: Payload) -> None:
         """Tell it.
@@ -142,6 +139,7 @@ class CapturedBody:
         touch, ekf = self._captured, self._ekf
         assert touch is not None
         assert touch.ticks is not None
+        known = [] if ekf.ticks_used < self._used else self._zeros
         self._used, self._next = ekf.ticks_used, _AGAIN * ekf.ticks_used
         if ekf.predictor.bends.size:
             self._told = None
@@ -151,9 +149,10 @@ class CapturedBody:
             self._told, self._failure = None, f"{ekf.fusion.names[0]} is left out"
             return
         state, zeros = self._before(0.5 * (touch.from_s + touch.until_s))
+        self._zeros = [min([zeros, *known], key=lambda one: float(np.diag(one.covariance).prod()))]
         try:
             between_s = touch.from_s, touch.until_s
-            self._told = before_capture(ekf.predictor, state, touch.ticks, zeros, payload, between_s)
+            self._told = before_capture(ekf.predictor, state, touch.ticks, self._zeros[0], payload, between_s)
         except SignalError as error:
             self._told, self._failure = None, str(error)
 

@@ -73,12 +73,18 @@ def test_an_announcement_tells_when_the_payload_was_touched_to_the_period_of_a_s
     assert touched
 
 
-@pytest.mark.parametrize(("seconds", "again"), [(55.0, True), (65.0, False)])
-def test_for_a_minute_the_zeros_at_the_capture_are_known_well_enough_to_tell_it_again(monkeypatch, seconds, again):
+def test_minutes_later_it_is_told_with_the_zeros_at_the_capture_as_they_were_known_before(monkeypatch):
     case = Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
-    body, _ = flown(case, told_s=CAPTURE_s)
-    monkeypatch.setattr(case.online, "ticks_used", round(seconds / case.online.predictor.period_s))
-    assert body.due is again
+    body, found = flown(case, told_s=CAPTURE_s)
+    monkeypatch.setattr(case.online, "ticks_used", 30000)
+    assert body.due
+    state, zeros = body._before(CAPTURE_s)
+    drifted = zeros._replace(covariance=1e4 * zeros.covariance)
+    monkeypatch.setattr(body, "_before", lambda at_s: (state, drifted))
+    body.tell(Payload(case.online.state[PAYLOAD], case.online.covariance[PAYLOAD, PAYLOAD]))
+    for now, before in zip(body.quantities(known=True), found[-1], strict=True):
+        assert now.supported == before.supported
+        assert not now.supported or now.sigma < 1.1 * before.sigma
 
 
 def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
