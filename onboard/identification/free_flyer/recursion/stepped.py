@@ -18,7 +18,7 @@ Known limit: in a window the drift of a bias is constant, in steps it is a rando
 
 import numpy as np
 
-from onboard.estimation.policy import AGAIN
+from onboard.estimation.policy import AGAIN, FARTHEST_SIZE, LIKELY_SIZE
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import TURNING_rad_s, left_of
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
@@ -28,7 +28,7 @@ from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
 _FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
-_WELL = 0.03  # relative sigma of the payload's mass below which steps are linearised well enough
+_WELL = LIKELY_SIZE / FARTHEST_SIZE  # relative sigma of a mass that is off by no likely error: linearised well enough
 _WELL_rad_s = SUPPORTED_SHRINKAGE * TURNING_rad_s  # and sigma of the base's rate, which the zeros of a gyro bound
 _AT_REST_s = 1.0  # time at rest that is kept
 
