@@ -40,7 +40,7 @@ from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Changed, Segment, in_windows, pushed
 from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
-from onboard.identification.windows import STAGES_s
+from onboard.identification.windows import SHORTEST, STAGES_s
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import EncoderJump
 
@@ -133,7 +133,7 @@ class _Flight:
             if agrees:
                 break
         if best is None:
-            needed = f"{likelihood_log.SHORTEST_S:g} s are needed"
+            needed = f"{SHORTEST * self._period_s:g} s are needed"
             why = f"as a payload was held for {held_s:.2g} s, {needed}" if held_s else "while nothing was held"
             idle = {} if failure else {why: seen}
             return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
@@ -250,7 +250,7 @@ class _Flight:
         """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
         runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
         held = likelihood_log.held_ticks(runs)
-        if not held or max(held.values()) * self._period_s < likelihood_log.SHORTEST_S:
+        if not held or max(held.values()) < SHORTEST:
             return []
         longest = max(held, key=lambda payload: held[payload])
         runs = self._without_pauses(runs, longest)

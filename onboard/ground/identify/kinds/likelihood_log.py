@@ -33,10 +33,10 @@ from onboard.identification.table.air_bearing import TableFit
 from onboard.identification.table.rivals import answered
 from onboard.identification.useful import Useful
 from onboard.identification.verdict import Evidence, standings_of, verdict
+from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 
 LONGEST_S = 60.0  # of flight that is fitted as a whole
-SHORTEST_S = 2.0
 
 
 class Kept(NamedTuple):
@@ -93,7 +93,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     ticks = kept.ticks
     seen = np.asarray(np.isfinite(ticks.measured).all(axis=1), np.bool_)
     used = 6 * int(seen.sum())
-    if len(ticks.time_s) * kept.period_s < SHORTEST_S or not used:
+    if len(ticks.time_s) < SHORTEST or not used:
         return no_answer(kept, 0)
     try:
         motion_fit = build(ticks, True)
@@ -106,7 +106,7 @@ def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
     halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
     if not (seen[:middle].any() and seen[middle:].any()):
         unchecked = half_too_short("of which the IMU has no reading")
-    elif not judged.reason and middle * kept.period_s >= SHORTEST_S:
+    elif not judged.reason and middle >= SHORTEST:
         try:
             earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
             halves = held_out(motion_fit, earlier, later, found)
