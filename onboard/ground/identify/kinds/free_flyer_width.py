@@ -12,7 +12,7 @@ from typing import NamedTuple
 from onboard import config
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, WIDTHS_ms, narrowest, with_settings
+from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, WIDTHS_ms, best_width, with_settings
 from onboard.recording.reader import LogReader
 
 # Widths are tried in each order until the error grows: a fit of noise takes minutes.
@@ -64,5 +64,5 @@ def with_chosen_width(
     try_in_turn([_WIDEST_ms] if errors else _NARROWER_ms[:-1])  # no fit by the widest: it smooths the motion away
     if not errors:
         return ChosenWidth(vehicle)
-    best_ms, said = narrowest(dict(sorted(errors.items())))
+    best_ms, said = best_width(dict(sorted(errors.items())))
     return ChosenWidth(with_settings(vehicle, best_ms), (said,), tried[best_ms])

@@ -29,7 +29,7 @@ from onboard.estimation.smoothing import CUTS_OFF
 from onboard.estimation.stuck import StuckReadings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.identify.replay.feed import FARTHEST_TIMES, AT_ONCE_s, feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, feed, same_unit
 from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
@@ -40,12 +40,10 @@ from onboard.recording.reader import LogReader
 WIDTHS_ms = tuple(1e3 * WIDEST_s / 2**k for k in (3, 2, 1, 0))
 FEWEST_SAMPLES = 8  # under a kernel: a spline of order 8 has as many pieces
 _ROWS = 10.0  # in a width: as 100 Hz makes in 100 ms; half are enough to compare widths, for half the time
-_ALIKE = 1.02  # times the least error: as good; the narrowest of those tells most
 IN_TURN = "recording"
 """Channel of ``heft merge --in-turn recording``: 1, 2, ... by the recording that rows are of; or, in one recording, of
 a column that says by 0 and 1 whether the payload is held."""
 _WHOLE = 0.05  # by which what is a whole number may differ from it: steps in quanta, besides what is rounded; samples
-_NEAREST = 10.0  # quanta, of the steps that tell
 
 
 class WidthChoice(NamedTuple):
@@ -67,13 +65,13 @@ def with_settings(vehicle: config.Vehicle, width_ms: float, **more: float) -> co
     return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
 
 
-def narrowest(errors: Mapping[float, float]) -> tuple[float, str]:
-    """The narrowest width, ms, of those that predict the other half as well as any, and what is said of it.
+def best_width(errors: Mapping[float, float]) -> tuple[float, str]:
+    """The width, ms, that predicts the other half best, and what is said of it.
 
     Args:
         errors: relative, by width.
     """
-    best_ms = next(width_ms for width_ms, error in errors.items() if error <= _ALIKE * min(errors.values()))
+    best_ms = min(errors, key=errors.__getitem__)
     each = ", ".join(f"{error:.1%} by {width_ms:g} ms" for width_ms, error in errors.items())
     band_Hz = 1e3 * CUTS_OFF / best_ms
     return best_ms, (
@@ -99,7 +97,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
     if len(by_width) < 2:
         return None
     errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
-    best_ms, said = narrowest(errors)
+    best_ms, said = best_width(errors)
     return WidthChoice(with_width(vehicle, best_ms), said)
 
 
@@ -200,7 +198,7 @@ def _device(name: str, device: RecordedDevice, log: LogReader) -> tuple[Recorded
         return device, said
     period_ms = 1e-6 * float(np.median(np.diff(rows["host_ns"])))
     ratio = period_ms / device.period_ms
-    if abs(ratio - 1.0) > LIKELY_SIZE and 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
+    if abs(ratio - 1.0) > LIKELY_SIZE and same_unit(ratio):
         found["period_ms"] = period_ms
         said.append(f"period_ms: samples are {period_ms:.4g} ms apart, not {device.period_ms:g}")
     stated = device.model_dump()
@@ -233,9 +231,9 @@ def quantum_of(raw: NDArray[np.floating]) -> float:
     if len(steps) < SHORTEST:
         return 1.0
     digit, least = float(np.gcd.reduce(np.rint(steps).astype(np.int64))), float(steps.min())
-    few = steps[steps < _NEAREST * least]
+    few = steps[2.0 * digit * steps < least**2]  # of which rounding leaves open no number of the least ones
     if len(few) < SHORTEST:
-        return least if not (steps % least).any() else 1.0
+        return digit
     quantum = float(few.sum() / np.rint(few / least).sum())
     apart = digit / quantum + _WHOLE  # two roundings of half a digit each
     if 2.0 * apart > MOSTLY:  # of steps of any size, so many are as near to whole numbers

@@ -22,7 +22,6 @@ from onboard.recording.reader import LogReader
 AT_ONCE_s = 1.0
 """Of the log's time, in a step, where only its ticks or rows are asked for: a quarter of the time of 50 ms."""
 _LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
-FARTHEST_TIMES = 10.0
 _SPREAD = 50  # samples between those whose times are compared: some arrive in groups
 _FEWEST_ROWS = 2 * _SPREAD
 
@@ -67,8 +66,13 @@ def _pause_ns(source: Interleaved, now_ns: int) -> int:
     return 0 if next_ns is None else max(0, next_ns - now_ns - 2 * _LONGEST_PAUSE_NS)
 
 
+def same_unit(ratio: float) -> bool:
+    """Whether a time over that stated is nearer to one than to the next unit's, s, ms or us."""
+    return 1e-3 < ratio**2 < 1e3
+
+
 def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
-    """Check that the samples of a log are as far apart as the vehicle file says, to a factor of ten.
+    """Check that the samples of a log are as far apart as the vehicle file says, but for less than a unit of time.
 
     Raises:
         ChannelError: a channel's times are of another unit.
@@ -79,7 +83,7 @@ def check_times(vehicle: config.Vehicle, log: LogReader) -> None:
             continue
         spread_ns = np.median(stamps_ns[_SPREAD:] - stamps_ns[:-_SPREAD])
         ratio = 1e-9 * float(spread_ns) / _SPREAD / signal.period_s
-        if not 1.0 / FARTHEST_TIMES < ratio < FARTHEST_TIMES:
+        if not same_unit(ratio):
             found, stated = (f"{1e3 * ms:.4g} ms" for ms in (ratio * signal.period_s, signal.period_s))
             raise ChannelError(
                 f"{log.path}: samples of {name} are {found} apart where the vehicle file says {stated}; check the unit "
