@@ -5,8 +5,8 @@ residuals over chance. The noise of the readings, which differs from fit to fit,
 
 A load cell that is accused may be right: it sees a light payload that is caught or let go, which the IMUs hardly do.
 Without the cell nothing speaks against the payload as it was. So the window is also solved with all instruments and
-the payload changed. Where that explains it, four seconds or eight of the same readings decide between it and errors of
-the cell (offset, scale, delay) of any size: a changed payload must be exp(10) times as likely.
+the payload changed. Where that explains it, the same readings decide between it and errors of the cell (offset, scale,
+delay) of any size: a changed payload must be 10,000 times as likely; else a longer window is asked.
 
 A tracker of the base's pose sees no payload before the IMUs do. One that is frozen agrees with a base that hardly
 turns, and what was known then may come from it: the window without it is solved with nothing known of before.
@@ -24,7 +24,6 @@ from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
 
 _CLEARLY = -2.0 * math.log(REFUSE)  # squares by which a fit must be less strained than any other
-_DECIDES = 2  # windows before this one are too short to tell a payload from errors of a cell
 
 
 class WindowProblem(NamedTuple):
@@ -129,13 +128,11 @@ class CellTrials:
     Args:
         cell: its number.
         hypotheses: of the payload as it was.
-        window: number of the window, the shortest first.
-        last: whether there is no longer one.
+        last: whether there is no longer window.
     """
 
-    def __init__(self, cell: int, hypotheses: tuple[HeldPayload, ...], window: int, *, last: bool) -> None:
-        self._cell, self._hypotheses = cell, hypotheses
-        self._decides, self._last = window >= _DECIDES, last
+    def __init__(self, cell: int, hypotheses: tuple[HeldPayload, ...], *, last: bool) -> None:
+        self._cell, self._hypotheses, self._last = cell, hypotheses, last
         self._without: Solved | None = None
         self._changed: Solved | None = None
         other = tuple(_CHANGED[one] for one in hypotheses if one in _CHANGED)
@@ -161,8 +158,7 @@ class CellTrials:
                 self._outcome = _Outcome.WRONG if self._last else _Outcome.LONGER
         elif found is not None and (found.hypothesis is HeldPayload.NOTHING or found.state[PAYLOAD][0] > 0.0):
             self._changed, self._outcome = found, _Outcome.LONGER
-            if self._decides:
-                self._left.append(WindowProblem(self._hypotheses, freed=self._cell))
+            self._left.append(WindowProblem(self._hypotheses, freed=self._cell))
 
     @property
     def choice(self) -> Exclusion | None:
@@ -190,6 +186,6 @@ def trials_of(
         windows: how many there are.
     """
     if accused is not None and accused not in (*fusion.imus, *fusion.trackers):
-        return CellTrials(accused, hypotheses, window, last=window + 1 == windows)
+        return CellTrials(accused, hypotheses, last=window + 1 == windows)
     doubted = fusion.doubted(longer=window > 0) if accused is None else fusion.rivals(accused)
     return WindowFits(doubted, hypotheses if window else unchanged(hypotheses), fusion.trackers)
