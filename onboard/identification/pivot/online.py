@@ -10,12 +10,18 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import ReasonArray
-from onboard.estimation.policy import AGAIN, HALF, INTERVAL
+from onboard.estimation.policy import AGAIN, HALF, INTERVAL, MOSTLY
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, Findings, QuantityEstimate
+from onboard.identification.quantities import (
+    SUPPORTED_SHRINKAGE,
+    DrawingTolerance,
+    Estimate,
+    Findings,
+    QuantityEstimate,
+)
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.table.run import TableRun
 from onboard.identification.windows import WindowedFit
@@ -23,7 +29,7 @@ from onboard.regressor.signals import Signals
 
 _FIRST_TICKS = 200  # of the first fit
 _MOST_TICKS = 12_000  # 40 MB of derivatives at once
-CHECKED = 0.005  # relative: sigma of a wheel's scale by the data alone, at most: half of the one per cent of an inertia
+CHECKED = MOSTLY * DrawingTolerance().inertia  # sigma of a wheel's scale by the data alone, at most
 TOLD = "of what the motion tells"
 UNCHECKED = "nothing checks the stated inertia of {}: set a known mass on for a while, shake others while it runs fast"
 

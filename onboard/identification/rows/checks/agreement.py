@@ -26,7 +26,6 @@ from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
 MOST_UNEXPLAINED = FARTHEST_SIZE * LIKELY_SIZE  # of what was measured, left over by the fit: by the farthest scale
-LEAST_RESPONSE = 0.1  # of what the drawing makes of the motion
 
 
 class InstrumentFit(NamedTuple):
@@ -145,7 +144,7 @@ def judged_fit(fit: InstrumentFit, correlation: float) -> tuple[list[str], list[
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
     """
     against, doubts, name = list[str](), list[str](), fit.instrument
-    if fit.response < LEAST_RESPONSE:
+    if fit.response < LIKELY_SIZE:  # no more than what a drawing may be wrong by
         against.append(f"{name} reads {fit.response:.0%} of what the drawing makes of this motion")
     if fit.misfit * correlation > MISFIT_PART and fit.unexplained > MOSTLY * MOST_UNEXPLAINED:
         said = f"{fit.unexplained:.0%} of what {name} reads is left over"

@@ -27,6 +27,7 @@ import numpy as np
 from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
+    DOUBT,
     LIKELY_SIZE,
     MISFIT_PART,
     MOST_SHARE,
@@ -54,7 +55,7 @@ from onboard.regressor.signals import Signals
 
 _UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
 _ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
-_HUBER, _FAR = 3.0, sigmas(READING)  # rows beyond weigh less (Huber 1964); contradict
+_HUBER, _FAR = sigmas(DOUBT), sigmas(READING)  # rows beyond weigh less (Huber 1964); contradict
 _TINY = float(np.finfo(np.float64).tiny)
 _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
     ("joint_zero", "zero", LIKELY_SIZE),
