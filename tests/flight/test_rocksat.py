@@ -22,6 +22,8 @@ from onboard.flight.store.flight_log import blas_kernels
 from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay import replay as replay_module
 from onboard.ground.identify.replay.replay import replay
+from onboard.recording.reader import LogReader
+from onboard.recording.writer import LogWriter
 from tests.flight.missions import SHORT, Result, fly
 from tests.hil_sim.built import AS_DRAWN
 
@@ -151,6 +153,21 @@ def test_replay_notices_another_vehicle(short_mission: Result, monkeypatch: pyte
     found = replay(short_mission.path)
     assert not found.identical
     assert "differs from row" in found.summary
+
+
+@pytest.mark.parametrize(("missing", "identical"), [(2, True), (3, False)])
+def test_answers_to_the_last_two_steps_of_a_flight_that_was_interrupted_may_be_missing(
+    short_mission: Result, tmp_path: Path, missing: int, identical: bool
+) -> None:
+    log, vehicle = LogReader(short_mission.path), config.load(config.packaged("rocksat"))
+    outputs, ends_ns = Estimator(vehicle).outputs, log.read("tick")["host_ns"][: len(log.read("tick")) // 2]
+    with LogWriter.create(tmp_path / "log.mcap", durable=False) as writer:
+        for one in log.attachments.values():
+            writer.attach(one.name, one.media_type, one.data)
+        for name, rows in log.batches():
+            writer.register(name, rows.dtype)
+            writer.write(name, rows[rows["host_ns"] <= ends_ns[-1 - missing if name in outputs else -1]])
+    assert replay(tmp_path / "log.mcap").identical is identical
 
 
 def test_one_seed_one_log(heavy: Result, tmp_path: Path) -> None:

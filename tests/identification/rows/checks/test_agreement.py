@@ -10,6 +10,7 @@ from onboard.identification.rows.checks.agreement import (
     judged_fit,
     with_stated,
 )
+from onboard.identification.rows.checks.gain import Blocks, GainTests
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
@@ -225,6 +226,18 @@ def test_what_the_other_cell_leaves_over_is_no_step_of_this_one():
     """A step at the release is seen by the other cell alone: as well as that one fits, not as well as this one does."""
     steps = [two_cells(np.random.default_rng(seed), (0.01, 0.2))[0].step for seed in range(40)]
     assert min(step.chance for step in steps if step is not None) > 1e-3
+
+
+def test_a_step_is_looked_for_where_the_parameters_leave_more_than_a_hundredth_of_it():
+    """Of 70 alike blocks the first alone reads a tenth more: all but a 70th of such a step is taken for the body."""
+    n, size = 70, 0.1
+    scores = np.full((n, 1), -1e4 * size / n)
+    scores[0] += 1e4 * size
+    blocks = Blocks(np.arange(float(n)), np.full((n, 1, 1), 1e4), scores, np.ones(n), np.ones(n))
+    step = GainTests([blocks], [], np.ones(1), np.full((1, 1), 1e4 * n)).step(np.inf)
+    assert step is not None
+    assert step.time_s == 1.0
+    assert step.size == pytest.approx(-size, rel=0.02)
 
 
 def test_a_step_that_a_released_payload_would_take_up_is_none(rng):
