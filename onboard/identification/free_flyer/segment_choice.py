@@ -13,10 +13,11 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.policy import AGAIN
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 
-LEAST = 0.01  # information that counts, in units of what is known before the flight
 REPEATED = 100.0  # times that each motion is repeated, for what is left in the end
+LEAST = (AGAIN - 1.0) / REPEATED  # information that counts then, in units of what is known before the flight
 
 
 class Asked(NamedTuple):

@@ -48,8 +48,8 @@ def test_rows_that_say_less_than_is_known_are_left_out(rng):
     whole = whitened.T @ whitened * np.outer(sigma, sigma)
     root = reduced(whitened, sigma) * sigma
     assert len(root) < 12
-    assert np.abs(np.linalg.eigvalsh(whole - root.T @ root)).max() < 0.02
-    assert len(reduced(np.diag(np.sqrt([0.006, 0.015, 1.0])), np.ones(3))) == 2
+    assert np.abs(np.linalg.eigvalsh(whole - root.T @ root)).max() < 0.003
+    assert len(reduced(np.diag(np.sqrt([0.0015, 0.003, 1.0])), np.ones(3))) == 2
 
 
 def test_what_is_left_is_named_by_what_it_comes_from():
