@@ -136,9 +136,7 @@ class Weighing(NamedTuple):
         return float(self.weights @ beyond.all(axis=1)), np.asarray(self.weights @ alone, np.float64)
 
 
-def fit(
-    R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS, begin: PoseFit | None = None
-) -> PoseFit:
+def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS) -> PoseFit:
     """The most likely state with the stated spread of the scales.
 
     Args:
@@ -146,18 +144,17 @@ def fit(
         wrench: (n, 6) force and moment on the sensor, in its axes.
         prior: what is known.
         rounds: at most; few tell fits apart that differ by more than some nats.
-        begin: a fit with another spread; None: from the closed form.
 
     Raises:
         CalibrationError: too few poses, or readings that are not finite.
     """
     if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
         raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
-    return _rounds(_Readings.of(R, wrench), prior, rounds, begin)
+    return _rounds(_Readings.of(R, wrench), prior, rounds, None)
 
 
 def _rounds(own: _Readings, prior: Priors, rounds: int, begin: PoseFit | None) -> PoseFit:
-    """As of :func:`fit`."""
+    """From a fit with another spread; ``None``: from the closed form."""
     if begin is None:
         R, wrench = own.R, own.wrench
         state = begun(R, wrench, prior)
