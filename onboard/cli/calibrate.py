@@ -132,7 +132,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     try:
         with common.progress() as bar:
             bar.add_task(f"{arguments.what} {log.name}", total=None)
-            found = arguments.analyse(arguments, LogReader(log), vehicle, device, at)
+            found = arguments.analyse(arguments, LogReader(log, kept=1.0), vehicle, device, at)
     except CalibrationError as error:
         common.complain(f"{error} ({vehicle.label} is as it was; the log is {log})")
         return common.FAILED

@@ -62,7 +62,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     if not arguments.logs:
         raise ValueError("name a log to identify from, or the --vehicle whose --parameters to show")
     with tempfile.TemporaryDirectory() as directory:
-        logs = [LogReader(log, kept=len(arguments.logs) == 1) for log in arguments.logs]
+        logs = [LogReader(log, kept=1.0 / len(arguments.logs)) for log in arguments.logs]
         return _identify_with(flown_by(logs, Path(directory)), arguments, logs)
 
 

@@ -16,7 +16,7 @@ from onboard.recording.missing import SegmentsSeen
 
 EXIT_COMPLETE = 0
 EXIT_DAMAGED = 3
-KEPT_BYTES = 64 << 20  # of the longest log that is kept
+KEPT_BYTES = 64 << 20  # of logs that are kept
 
 
 class _Survey(NamedTuple):
@@ -38,7 +38,8 @@ class LogReader:
     Args:
         path: a log (layout: ``onboard.recording.format.segments``), or the segments to read, in order. Of a log,
             segments missing at its beginning or end are reported too.
-        kept: read a log of at most :data:`KEPT_BYTES` once: passes after the first whole one are over what it found.
+        kept: share of :data:`KEPT_BYTES` that it has: a log no longer than that is read once; passes after the first
+            whole one are over what it found.
 
     Attributes:
         path: as given; the first where segments were given.
@@ -50,7 +51,7 @@ class LogReader:
         OSError: none of its files can be opened.
     """
 
-    def __init__(self, path: str | Path | Sequence[Path], *, kept: bool = False) -> None:
+    def __init__(self, path: str | Path | Sequence[Path], *, kept: float = 0.0) -> None:
         if isinstance(path, str | Path):
             self.path = Path(path)
             self.segments = segments(self.path)
@@ -60,7 +61,7 @@ class LogReader:
         alone = self.segments == (self.path,) and is_part(self.path)
         self.is_flight = isinstance(path, str | Path) and not alone
         self._before = 0
-        self._keeps = kept and self.size <= KEPT_BYTES
+        self._keeps = self.size <= kept * KEPT_BYTES
         self._kept: list[tuple[int, list[MessageRun]]] | None = None  # position after a chunk, its runs
         self._scan: Scan | None = None
         self._found: _Survey | None = None

@@ -9,6 +9,7 @@ Clock specifications of channels, given by a device's module and used by the tim
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -232,6 +233,11 @@ class Timebase:
                 return len(rows) > 0 and source.update(rows, self._edges)
             case _:
                 return len(rows) > 0 and source.take(rows)
+
+    def only(self, channels: Collection[str]) -> "Timebase":
+        """A fresh one that has the clocks of these channels alone."""
+        wanted = {*channels, *map(self.clock_of, channels)}
+        return Timebase({name: spec for name, spec in self._specs.items() if name in wanted}, self._line)
 
     def clock_of(self, channel: str) -> str:
         """The channel whose clock a channel's samples are timed by: itself, or what it follows."""

@@ -21,7 +21,12 @@ REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of t
 _READING = np.concatenate([_AXES, _OFF // 3, 3 + _OFF // 3, np.repeat(_AXES, 3)])
 _TAKEN = np.concatenate([_AXES, _OFF % 3, 3 + _OFF % 3, np.tile([3, 4, 5], 3), np.tile([0, 1, 2], 3)])
 _TIMES = np.repeat([1.0, 1.0 / REACH_m, REACH_m], [18, 9, 9])
-_SCALES_AND_CROSS = np.arange(SCALES.start, UNKNOWNS)
+_ORDER = np.argsort(6 * _READING + _TAKEN)  # by row and column of all that is taken, (6, 6)
+_WAYS = np.zeros((6, UNKNOWNS, 3, 4))  # of scales and cross-talk: what they do with d, by mass and first moment
+_WAYS[_READING, np.arange(SCALES.start, UNKNOWNS)] = (
+    np.concatenate([np.multiply.outer(_EYE, [1.0, 0.0, 0.0, 0.0]), np.insert(_HATS.transpose(1, 2, 0), 0, 0.0, axis=2)])
+)[_TAKEN] * _TIMES[:, None, None]
+_BY_BODY = _WAYS.reshape(-1, 4)
 _LEVEL = [np.delete(np.eye(3), axis, axis=1) for axis in range(3)]
 
 
@@ -55,8 +60,7 @@ class Linearisation(NamedTuple):
     @property
     def levers(self) -> tuple[FloatArray, FloatArray]:
         """Readings by m d and by p x d, (6, 3) each: 1 + S + X, and X' with L."""
-        both = _AS_IS.copy()
-        both[_READING, _TAKEN] += np.concatenate([self.scales, self.cross]) * _TIMES
+        both = _AS_IS + (np.concatenate([self.scales, self.cross]) * _TIMES)[_ORDER].reshape(6, 6)
         return both[:, :3], both[:, 3:]
 
     @property
@@ -84,11 +88,10 @@ def linearised(state: Linearisation, prior: Priors) -> tuple[FloatArray, FloatAr
     d = (state.mounting[:, :, None] * down).reshape(3, 9)  # gravity in sensor axes
     (of_weight, of_moment), p = state.levers, hat(state.first_moment)
     A = state.mass * of_weight + of_moment @ p
-    by = np.zeros((6, UNKNOWNS, 3))  # by d
+    by = (_BY_BODY @ [state.mass, *state.first_moment]).reshape(6, UNKNOWNS, 3)  # by d
     by[:, 0] = of_weight
     by[:, FIRST_MOMENT] = (of_moment @ _HATS).transpose(1, 0, 2)  # p x d = -d x p
     by[:, MOUNTING] = (A @ _HATS).transpose(1, 0, 2)
-    by[_READING, _SCALES_AND_CROSS] = np.concatenate([state.mass * _EYE, p])[_TAKEN] * _TIMES[:, None]
     J = by @ d
     tilts = -(A @ state.mounting)[:, None, :, None] * (hat(down) @ level).T[:, None]  # (6, 2, 3, 3)
     J[:, TILT] = tilts.reshape(6, 2, 9)

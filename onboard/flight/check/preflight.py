@@ -232,7 +232,8 @@ def _rows(batches: Iterable[Batch]) -> dict[str, Rows]:
     by_channel: dict[str, list[Rows]] = defaultdict(list)
     for channel, rows in batches:
         by_channel[channel].append(rows)
-    return {channel: np.concatenate(parts) for channel, parts in by_channel.items()}
+    joined = {channel: bytearray().join(rows.tobytes() for rows in parts) for channel, parts in by_channel.items()}
+    return {channel: np.frombuffer(joined[channel], parts[0].dtype) for channel, parts in by_channel.items()}
 
 
 def _check(

@@ -81,7 +81,7 @@ def _result(item: Item, log: Path, make_world: MakeWorld) -> FlightResult:
     with world:
         flown = hil.fly_simulated(vehicle, world, urls, log)
     truth.write(flown.log, own_mission.with_quantities(vehicle, flown.truth))
-    read = LogReader(flown.log, kept=True)
+    read = LogReader(flown.log, kept=1.0)
     result = results.of_mission(mission_table.result(flown, log=read))
     return result.with_instants(instants.of_flight(read, vehicle, flown.truth))
 

@@ -133,7 +133,7 @@ def identify(
         LoadError: a log of a free body that matches no load or several.
         ConfigError: the vehicle file does not fit its URDF.
     """
-    readers = [log if isinstance(log, LogReader) else LogReader(log) for log in logs]
+    readers = [log if isinstance(log, LogReader) else LogReader(log, kept=1.0 / len(logs)) for log in logs]
     for reader in readers:
         check_units(vehicle, reader)
     vehicle, said = as_recorded(vehicle, readers[0])

@@ -259,14 +259,15 @@ class BodyModel:
         begin = np.tile(x[p:].reshape(-1, STATE), (b, 1, 1))
         begin[1 + p :] += np.diag(steps[-STATE:])[:, None]
         body = self._moved(moving, begin, windows, least_s)
-        states = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, :3]  # (n, 3, b, k)
+        states = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, :3]
+        states = np.ascontiguousarray(states.transpose(3, 0, 1, 2))  # (k, n, 3, b): samples are gathered from it
         every = np.append(steps[kept], steps[-STATE:])
         sigma = self.steady_sigma
         for k, ((time_s, measured, _), noise) in enumerate(zip(windows.poses, windows.noise, strict=True)):
             at = (time_s - windows.start_s[k]) / windows.period_s
             first = np.minimum(at.astype(np.int64), windows.steps - 1)
             part = (at - first)[:, None, None]
-            shown = self._shown((1.0 - part) * states[first, :, :, k] + part * states[first + 1, :, :, k], moving)
+            shown = self._shown((1.0 - part) * states[k, first] + part * states[k, first + 1], moving)
             r = shown[:, :, 0] - measured  # (u, 3)
             r[:, 2] = np.remainder(r[:, 2] + np.pi, 2.0 * np.pi) - np.pi
             J = (shown[:, :, 1:] - shown[:, :, :1]) / every / noise[:, :, None]  # (u, 3, p + state)

@@ -104,7 +104,7 @@ def replay(path: Path, progress: Progress | None = None) -> Replay:
         ConfigError: it carries no vehicle that can be used.
         ChannelError: its rows are not of the kind that this vehicle gives.
     """
-    log = LogReader(path, kept=True)
+    log = LogReader(path, kept=1.0)
     restarts_ns = _restarts_ns(log)  # first: the vehicle then takes no pass of its own
     with tempfile.TemporaryDirectory() as directory:
         return _replay(log, vehicle_of(log, Path(directory)), restarts_ns, follow(progress, "replay", log))

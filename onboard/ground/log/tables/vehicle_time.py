@@ -51,9 +51,9 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
     Raises:
         OSError: the log cannot be read.
     """
-    timebase = timebase_of(vehicle)
+    timebase = timebase_of(vehicle).only(channels)
     source = Interleaved(log, vehicle.channels)
-    waiting: dict[str, Rows] = {name: np.empty(0, log.channels[name]) for name in channels}
+    waiting: dict[str, list[Rows]] = {name: [] for name in channels}
     unmarked = set(channels)  # whose clocks have not been solved by their marks yet
     now_ns, done = source.start_ns or 0, source.start_ns is None
     while not done:
@@ -63,11 +63,15 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
         done = source.done
         until_ns = now_ns if done else now_ns - _LAG_NS
         samples: list[Timed] = []
-        for name, before in waiting.items():
-            rows = np.concatenate([before, batches[name]])
+        for name, parts in waiting.items():
+            if len(batches[name]):
+                parts.append(batches[name])
             if name in unmarked and timebase.trusted(name):
                 unmarked.discard(name)
             patience_ns = 0 if done or name not in unmarked else _PATIENCE_NS
+            if not parts or parts[0]["host_ns"][0] >= until_ns - patience_ns:
+                continue
+            rows = np.concatenate(parts)
             ready = int(np.searchsorted(rows["host_ns"], until_ns - patience_ns))
             times = timebase.time_ns(name, rows[:ready]) if ready else None
             if times is None:
@@ -75,5 +79,5 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
                 times = np.full(ready, UNKNOWN)
             if ready:
                 samples.append(Timed(name, times, rows[:ready]))
-            waiting[name] = rows[ready:]
+            parts[:] = [rows[ready:]] if ready < len(rows) else []
         yield TimedStep(until_ns, samples)
