@@ -24,6 +24,7 @@ from onboard.identification.quantities import Estimate, Findings
 
 _STEPS = 64  # temperatures kept: of some seconds
 _PLAUSIBLE_K = 100.0  # from the first temperature: data sheets of the chips span 125 K, -40 to 85 degrees Celsius
+_WARMER_K = 5.0  # more than a chip warms by itself after power-up
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -63,11 +64,11 @@ class Temperatures:
             self._values = np.append(self._values, kelvin - self._first)[-_STEPS:]
 
     def noted(self, findings: Findings) -> Findings:
-        """Findings, with how much warmer the IMU has become after what speaks against all answers."""
-        if not findings.against or not len(self._values) or not (kelvin := round(self._values[-1])):
+        """Findings, with how much warmer the IMU has become before what speaks against all answers, if it is much."""
+        if not findings.against or not len(self._values) or abs(self._values[-1]) < _WARMER_K:
             return findings
-        said = f"{self._channel} is {abs(kelvin)} K {'warmer' if kelvin > 0 else 'colder'} than at first"
-        return findings._replace(against=(*findings.against, said))
+        said = f"{self._channel} is {abs(self._values[-1]):.0f} K {'warmer' if self._values[-1] > 0.0 else 'colder'}"
+        return findings._replace(against=(f"{said} than at first", *findings.against))
 
     def at(self, at_ns: NDArray[np.int64]) -> FloatArray:
         """At each tick, (n,)."""
