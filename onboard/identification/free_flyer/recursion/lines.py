@@ -12,7 +12,7 @@ what residuals of a window have below 1.5 Hz, and half-second sums of innovation
 Where springs keep every window from being explained there are no innovations. What they swing shows in the residuals of
 the fit that came nearest, as a peak that holds most of the power of one channel: by a periodogram with Hann's window,
 which keeps slow residuals from leaking into it (Percival and Walden, Spectral Analysis for Physical Applications, 6.4).
-Up to 1 Hz the arm's motion leaves peaks as well, whatever is wrong: none is named.
+Below 1.5 Hz the arm's motion leaves peaks as well, whatever is wrong: none is named.
 """
 
 from collections import deque
@@ -29,7 +29,6 @@ _BLOCK_s = 8.0
 _BLOCKS = round(3600.0 / _BLOCK_s)  # of an hour; as many times half-second sums are all new ones
 _CHANNELS = 6
 RECENT_s = 60.0  # for which a line is remembered
-_LOWEST_Hz = 1.0  # of a line
 _SLOW_Hz = 1.5  # the arm moves at 0.1 to 0.6 Hz
 _SUMMED_s = 0.5  # at once; what is recent is a block of sums. The first wait, which doubles until it is a block
 _SENSORS = "gyro", "accelerometer"
@@ -217,7 +216,7 @@ def line_of(residual: FloatArray, period_s: float) -> Line | None:
     """The line in whitened residuals, (n, 6); None where no peak holds most of a channel's power."""
     n = len(residual)
     power = np.abs(np.fft.rfft(_detrended(residual) * np.hanning(n)[:, None], axis=0)) ** 2  # (n // 2 + 1, 6)
-    lowest = int(np.ceil(_LOWEST_Hz * n * period_s)) + 1
+    lowest = int(np.ceil(_SLOW_Hz * n * period_s)) + 1
     if len(power) < lowest + 2:
         return None
     peaks = power[lowest - 1 : -2] + power[lowest:-1] + power[lowest + 1 :]  # of three bins, Hann's main lobe
