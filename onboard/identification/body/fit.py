@@ -19,7 +19,7 @@ from onboard.dynamics.floating import Floating, predict_floating
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
-from onboard.estimation.policy import MISFIT_REFUSED, ODDS_OF_PART
+from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
 from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
@@ -33,7 +33,7 @@ BODY = 4  # unknowns of the body
 _UNKNOWN = 3.0  # sigma of the logarithm of a mass or moment of inertia of which nothing is known
 _SEARCHED, _SEARCH_s = 24, 0.025  # windows, and step of the delays that a fit begins from
 _LOOKS = 8  # predictions by which pulses that do nothing are judged
-_LEAST_s, _LEAST_TRIED = 0.3, 12  # longest pulse that may not open a valve; how many lengths are tried
+_LEAST_TRIED = 12  # lengths of pulses that may not open a valve
 _BETTER = -2.0 * np.log(ODDS_OF_PART)  # squares by which valves that stay shut explain the poses
 _SENSORS = 3
 _AS_WRITTEN = Opening(0.0, 0.0, 0.0)
@@ -156,7 +156,8 @@ class BodyModel:
     def _leasts(self) -> list[float]:
         """Lengths just above those pulses that may not open a valve."""
         pulses = np.concatenate([valve.pulses_s for valve in self._thrusters.valves])
-        lengths = np.unique(np.round(pulses[pulses < _LEAST_s], 4))
+        lengths = np.unique(np.round(pulses, 4))
+        lengths = lengths[: round(MOSTLY * len(lengths))]  # by most of them the body moves
         if len(lengths) > _LEAST_TRIED:
             lengths = np.quantile(lengths, np.linspace(0.0, 1.0, _LEAST_TRIED))
         return [float(length) + 1e-4 for length in lengths]
