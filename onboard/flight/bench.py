@@ -71,13 +71,16 @@ class BenchRun:
         vehicle: see :func:`only`; the log carries its whole file.
         log: to write; must not exist.
         clock: CLOCK_MONOTONIC ns, or a virtual one.
+        undisturbed: nothing fails on its buses, as on simulated ones.
 
     Raises:
         FileExistsError: there is such a log.
         OSError: it cannot be written.
     """
 
-    def __init__(self, vehicle: config.Vehicle, log: Path, clock: Callable[[], int]) -> None:
+    def __init__(
+        self, vehicle: config.Vehicle, log: Path, clock: Callable[[], int], *, undisturbed: bool = False
+    ) -> None:
         self._clock = clock
         with ExitStack() as stack:
             directory = stack.enter_context(scratch())
@@ -85,7 +88,7 @@ class BenchRun:
             opened = open_devices(vehicle, clock)
             stack.callback(opened.close)
             self._recorder = open_simulated_recorder(vehicle, directory, log)
-            self.acquisition = Acquisition(opened.devices, Publisher(made))
+            self.acquisition = Acquisition(opened.devices, Publisher(made), undisturbed=undisturbed)
             self._directory = directory
             self._stack = stack.pop_all()
         self.acquisition.report(opened.problems)
@@ -103,10 +106,10 @@ class BenchRun:
             self._stack.callback(reader.close)
         return opened
 
-    def step(self) -> None:
-        """Pump what is due, and record now and then."""
+    def step(self, *, hand_over: bool = True, handed_over_at: Callable[[int], int] = int) -> None:
+        """Pump what is due, and record now and then; arguments as of :meth:`Acquisition.step`."""
         now_ns = self._clock()
-        self.acquisition.step(now_ns)
+        self.acquisition.step(now_ns, hand_over=hand_over, handed_over_at=handed_over_at)
         if now_ns - self._recorded_ns > 2e8:
             self._recorder.step(now_ns)
             self._recorded_ns = now_ns
@@ -176,15 +179,13 @@ def run_simulated(vehicle: config.Vehicle, world: World, log: Path, watcher: Wat
         log: to write; must not exist.
         watcher: looks ten times a second.
     """
-    clock, looked_ns = simulated.VirtualClock(world.start_ns), 0
-    with BenchRun(vehicle, log, clock) as run:
+    clock = simulated.VirtualClock(world.start_ns)
+    with BenchRun(vehicle, log, clock, undisturbed=True) as run:
         readers = run.readers(watcher.channels)
         for now_ns in _stepped(run, world, clock):
-            if now_ns - looked_ns >= LOOKED_NS:
-                looked_ns = now_ns
-                for channel, reader in readers.items():
-                    watcher.feed(channel, reader.read()[0])
-                watcher.step(now_ns * 1e-9)
+            for channel, reader in readers.items():
+                watcher.feed(channel, reader.read()[0])
+            watcher.step(now_ns * 1e-9)
             if watcher.done:
                 return
 
@@ -199,16 +200,27 @@ def record_simulated(vehicle: config.Vehicle, world: World, log: Path, progress:
         progress: called with the fraction done.
     """
     clock = simulated.VirtualClock(world.start_ns)
-    with BenchRun(vehicle, log, clock) as run:
+    with BenchRun(vehicle, log, clock, undisturbed=True) as run:
         for now_ns in _stepped(run, world, clock):
             progress((now_ns - world.start_ns) / (world.end_ns - world.start_ns))
 
 
 def _stepped(run: BenchRun, world: World, clock: simulated.VirtualClock) -> Iterator[int]:
-    """Let bench and recording go on to the world's end; each time that they have reached."""
+    """Let bench and recording go on to the world's end; each time at which rows were handed over."""
     pause_ns = simulated.step_of(run.acquisition.devices, LONGEST_STEP_NS)
+    start_ns, step, every = clock.now_ns, 0, max(1, round(LOOKED_NS / pause_ns))
+
+    def step_at(time_ns: int) -> int:
+        return -((start_ns - time_ns) // pause_ns)
+
+    def handed_over(step: int) -> int:  # the first step from this one on that does
+        return step + (1 - step) % every
+
     while clock.now_ns < world.end_ns:
-        clock.now_ns = min(clock.now_ns + pause_ns, world.end_ns)
+        step = min(max(step + 1, step_at(run.acquisition.idle_until())), handed_over(step + 1))
+        clock.now_ns = min(start_ns + step * pause_ns, world.end_ns)
         world.advance(clock.now_ns)
-        run.step()
-        yield clock.now_ns
+        hands_over = step == handed_over(step)
+        run.step(hand_over=hands_over, handed_over_at=lambda now_ns: start_ns + handed_over(step_at(now_ns)) * pause_ns)
+        if hands_over or clock.now_ns == world.end_ns:
+            yield clock.now_ns
