@@ -68,16 +68,26 @@ def timed(log: LogReader, vehicle: config.Vehicle, channels: Collection[str]) ->
                 parts.append(batches[name])
             if name in unmarked and timebase.trusted(name):
                 unmarked.discard(name)
-            patience_ns = 0 if done or name not in unmarked else _PATIENCE_NS
-            if not parts or parts[0]["host_ns"][0] >= until_ns - patience_ns:
+            if not (due := _due(parts, until_ns - (0 if done or name not in unmarked else _PATIENCE_NS))):
                 continue
-            rows = np.concatenate(parts)
-            ready = int(np.searchsorted(rows["host_ns"], until_ns - patience_ns))
-            times = timebase.time_ns(name, rows[:ready]) if ready else None
+            rows = np.concatenate(due)
+            times = timebase.time_ns(name, rows)
             if times is None:
                 ready = len(rows) if done else int(np.searchsorted(rows["host_ns"], until_ns - _PATIENCE_NS))
-                times = np.full(ready, UNKNOWN)
-            if ready:
-                samples.append(Timed(name, times, rows[:ready]))
-            parts[:] = [rows[ready:]] if ready < len(rows) else []
+                parts[:0] = [rows[ready:]] if ready < len(rows) else []
+                rows, times = rows[:ready], np.full(ready, UNKNOWN)
+            if len(rows):
+                samples.append(Timed(name, times, rows))
         yield TimedStep(until_ns, samples)
+
+
+def _due(parts: list[Rows], until_ns: int) -> list[Rows]:
+    """Take the rows stamped before a time, which rise, out of the parts that wait."""
+    due = []
+    while parts and parts[0]["host_ns"][0] < until_ns:
+        part = parts.pop(0)
+        ready = max(1, int(np.searchsorted(part["host_ns"], until_ns)))
+        due.append(part[:ready])
+        if ready < len(part):
+            parts.insert(0, part[ready:])
+    return due
