@@ -55,7 +55,7 @@ class MissionKeys(Section):
 
     ``until``: half of the 95 % intervals that are enough: ``"mass 1 %, centre 5 mm"``. ``segments``: the file of
     motions that it may ask for (``heft plan --segments``). ``give_up_s``: longest time with a payload held.
-    ``probe_s``: a flight that begins with nothing held asks for a small motion after so long a rest, three times at
+    ``probe_s``: a flight that begins with nothing held asks for a small motion after so long a rest, five times at
     most; 0: never.
     """
 

@@ -22,7 +22,7 @@ MISSION: dict[str, tuple[str, ...]] = {
     "segments": ("File of motions that the flight may ask for, relative to this file (`heft plan --segments`).",),
     "give_up_s": ("Longest time with a payload held.", "the arm may move for longer"),
     "probe_s": (
-        "A flight that begins with nothing held asks for a small motion after so long a rest, 3 times at most; 0: no.",
+        "A flight that begins with nothing held asks for a small motion after so long a rest, 5 times at most; 0: no.",
         "0: the arm must not move before a capture is seen",
     ),
 }

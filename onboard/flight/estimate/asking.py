@@ -34,10 +34,11 @@ from onboard.identification.free_flyer.segment_choice import Asked, after, choos
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import Estimate
 
-_LATE_s = 60.0  # of an arm that is not back, or has other things to do first
+_FIRST_LATE_s = 60.0  # of an arm that has other things to do first
 _NEAR_rad = 0.05  # an arm at rest in the posture
 _LITTLE = AGAIN**-0.5  # of the ratio: a segment that gains less than this may be the last
-_FEWEST = 3  # segments that tell or show nothing, or in which the arm does not move, before it is given up
+_FEWEST = 3  # segments that tell nothing, or in which the arm does not move, before it is given up
+_PROBES = 5  # motions with nothing known to be held
 
 
 class _Known(NamedTuple):
@@ -96,7 +97,7 @@ class Asking:
         self._held_s: float | None = None  # since when a payload is
         self._met_s: float | None = None  # since when the goal is met
         self._idle_s: float | None = None  # since when the arm rests with nothing held
-        self._until_s = -np.inf  # of the segment that is played: when it is over
+        self._until_s = self._late_s = -np.inf  # of the segment that is played: when it is over, and at the latest
         self._changes = 0
 
     def step(
@@ -138,7 +139,7 @@ class Asking:
         self._linearise(ekf)
         self.moved |= bool((np.abs(joints[1]) > RESTS_rad_s).any())
         rests = time_s >= self._until_s and self._rests(joints) and bool(np.isfinite(rate).all())
-        why = self._stuck(time_s - self._held_s, time_s - self._until_s, rests=rests)
+        why = self._stuck(time_s - self._held_s, time_s, rests=rests)
         if why:
             return self._give_up(now_ns, time_s, now, why)
         solved = ekf.state is not None and ekf.settled()
@@ -156,9 +157,9 @@ class Asking:
         waited_s = time_s - max(self._idle_s, self._until_s)
         if not ready or self._over or not self.probe_s or waited_s < self.probe_s:
             return []
-        if self.since_change >= _FEWEST:
+        if self.since_change >= _PROBES:
             self._over = True
-            text = f"{self._text}: {_FEWEST} motions have shown nothing that is held; asks again when something is"
+            text = f"{self._text}: {_PROBES} motions have shown nothing that is held; asks again when something is"
             return [event(now_ns, Severity.WARNING, "goal_waits", "estimation", text)]
         return self._ask(now_ns, time_s, known, known.asked.ratio(known.covariance[PAYLOAD, PAYLOAD]), solved=False)
 
@@ -173,12 +174,13 @@ class Asking:
             whitened = now.jacobian / self.library.sigma[k][:, :, None]
             self.own[k] = reduced(whitened.reshape(-1, whitened.shape[2]), np.sqrt(np.diag(self.prior)))
 
-    def _stuck(self, held_s: float, idle_s: float, *, rests: bool) -> str:
+    def _stuck(self, held_s: float, time_s: float, *, rests: bool) -> str:
         """Reason why no segment is requested any more, whatever the estimate; empty if there is none."""
         if held_s > self._give_up_s:
             return f"{self._give_up_s:g} s are over (give_up_s)"
         if not rests:
-            return "the arm does not rest in the posture of the segments" if min(held_s, idle_s) > _LATE_s else ""
+            late = held_s > _FIRST_LATE_s and time_s > self._late_s
+            return "the arm does not rest in the posture of the segments" if late else ""
         if self._unmoved >= _FEWEST:
             return "the arm does not move when it is asked to: is it armed, have its drives stopped?"
         return ""
@@ -260,7 +262,8 @@ class Asking:
         name = library.names[found.segment]
         self._unmoved = 1 if self.moved or not self.since_change else self._unmoved + 1
         self.since_change, self.moved, self._asks = self.since_change + 1, False, True
-        self._until_s = time_s + float(library.durations_s[found.segment]) + 1.0
+        lasts_s = float(library.durations_s[found.segment]) + 1.0
+        self._until_s, self._late_s = time_s + lasts_s, time_s + 2.0 * lasts_s
         text = f"{name}: half intervals are {now:.3g} times what is wanted, {expected:.3g} expected after it"
         if self._held_s is None:
             text = f"{name}: nothing is known to be held, and a payload that was caught at rest would show"
