@@ -39,7 +39,7 @@ def ticks_of(signals: FlightSignals, first_s: float = 0.0) -> Ticks:
     sigma = np.tile(np.concatenate([signals.rate_sigma, signals.specific_force_sigma]), (n, 1))
     measured = np.concatenate([signals.rate, signals.specific_force], axis=1)
     times = np.asarray(first_s + signals.period_s * np.arange(n), np.float64)
-    exact = *np.zeros((2, n, 2, signals.q.shape[1])), np.zeros((n, 3, 0)), np.zeros((n, 0))
+    exact = *np.zeros((2, n, 2, signals.q.shape[1])), np.zeros((n, 3, 0)), np.zeros((n, 0)), np.ones(n)
     return Ticks(times, signals.q, signals.dq, signals.ddq, measured, sigma, *exact)
 
 

@@ -363,6 +363,18 @@ def correlation_inflation(width_s: float, row_period_s: float, kernel: Kernel = 
     return float(np.sqrt(max(1.0 + 2.0 * rho.sum(), 1.0)))
 
 
+@lru_cache(maxsize=8)
+def alike_in_products(inflation: float, kernel: Kernel = SPLINE) -> float:
+    """Rows in which a product of two errors is one value: ``sum_k rho(k T)^2``, of derivatives, too, to 5 %.
+
+    Args:
+        inflation: :func:`correlation_inflation` of the rows.
+        kernel: as given to :class:`SmoothingWindow`.
+    """
+    rho = _autocorrelation(kernel, 0)[1]
+    return max(inflation**2 * float(rho @ rho / rho.sum()), 1.0)
+
+
 def uncorrelated_s(width_s: float, kernel: Kernel = SPLINE) -> float:
     """The least time between two rates of smoothed white noise that are uncorrelated; beyond it they are not alike."""
     at, autocorrelation = _autocorrelation(kernel, 1)

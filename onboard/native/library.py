@@ -48,7 +48,7 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
     "heft_moments": (_INT, _ARRAY),
     "heft_carried": (_INT, _INT, *[_ARRAY] * 5),
-    "heft_joint_noise": (*[_ARRAY] * 3, *[_INT] * 3, *[_ARRAY] * 3),
+    "heft_joint_noise": (*[_ARRAY] * 3, _INT, *[_ARRAY] * 2),
     "heft_tick_means": (_ARRAY, _FLOAT, _FLOAT),
     "heft_under": (_ARRAY, _FLOAT, _FLOAT),
     "heft_pieces": (_ARRAY, _INT, _INT, _INT, _ARRAY, _INT),

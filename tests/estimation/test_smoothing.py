@@ -14,6 +14,7 @@ from onboard.estimation.smoothing import (
     SPLINE,
     Response,
     SmoothingWindow,
+    alike_in_products,
     correlation_inflation,
     filtered_inflation,
     smooth,
@@ -190,6 +191,18 @@ def test_inflation_makes_correlated_rows_weigh_what_they_are_worth(rng):
     smoothed = smooth(t, noise, at, WIDTH)
     claimed = smoothed.noise_gain[0] * correlation_inflation(WIDTH, 0.01) / np.sqrt(at.size)
     assert smoothed.values.mean(axis=0).std() == pytest.approx(claimed, rel=0.1)
+
+
+@pytest.mark.parametrize("width_s", [0.1, 0.25])
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_products_of_two_errors_are_alike_over_so_many_rows(width_s, derivative):
+    """The sum of squares of the correlations of one row with all, by the weights of white samples."""
+    t, period_s = np.arange(0, 2, 0.001), 0.01
+    weights = SmoothingWindow(t, np.arange(0.5, 1.5, period_s), width_s).apply(np.eye(t.size), derivative).values
+    rho = weights @ weights[50] / (weights[50] @ weights[50])
+    found = alike_in_products(correlation_inflation(width_s, period_s))
+    assert found == pytest.approx(rho @ rho, rel=0.05)
+    assert alike_in_products(1.0) == 1.0
 
 
 def test_accelerations_are_less_alike_than_ticks_by_themselves(rng):

@@ -167,9 +167,12 @@ def test_noise_of_the_joints(seed, free):
     imus = [PlacedImu(*vehicle.pose_in_base(frame), 10, *[slice(0)] * 2) for frame in predictor.imu_frames]
     cuts = [cut for _, cut in cuts_of(vehicle, predictor.further, (), ())]
     parts = JointErrors(vehicle), imus, cuts, predictor.lines, list(free)
-    for found, one in zip(JointNoise(vehicle, *parts).of(q, vehicle.chi, *sigma), sigma, strict=True):
-        same(found, of_noise.of(vehicle, *parts, q, vehicle.chi, one), SOLVED)
-    assert not JointNoise(vehicle, *parts).of(q, vehicle.chi, 0.0 * sigma[0])[0].any()
+    noise = JointNoise(vehicle, *parts)
+    each = noise.by_joint(q, vehicle.chi, *sigma)
+    for found, together, one in zip(each, noise.of(q, vehicle.chi, *sigma), sigma, strict=True):
+        same(found, expected := of_noise.of(vehicle, *parts, q, vehicle.chi, one), SOLVED)
+        same(together**2, (expected**2).sum(axis=1), SOLVED)
+    assert not noise.of(q, vehicle.chi, 0.0 * sigma[0])[0].any()
 
 
 @pytest.mark.parametrize("seed", range(6))

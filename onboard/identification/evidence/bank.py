@@ -308,6 +308,13 @@ class Bank:
         now = x - sign * (own @ gain), P - sign * (PU @ gain)
         return now, Changed(D - PU @ of_steps, d - own @ of_steps, J + along.T @ of_steps, step)
 
+    def released(self, which: Sequence[int]) -> FloatArray:
+        """Root of what these suspects, if each may be wrong, take off the information that is stated, (p, r)."""
+        U, inner = self._of_these(which)
+        root = np.zeros((self._size, len(inner)))
+        root[self.at] = np.linalg.solve(np.linalg.cholesky(inner), U.T).T
+        return root
+
     def _of_these(self, which: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """``U`` at all suspects' constants and ``1 + D' U`` of some suspects' columns."""
         columns = np.concatenate([np.arange(self._columns[k].start, self._columns[k].stop) for k in which])
@@ -326,7 +333,6 @@ class Bank:
         stated: Known,
         steps: Sequence[Hypothesis] = (),
         beyond: FloatArray | float = 0.0,
-        uncorrected: FloatArray | None = None,
     ) -> Weighed:
         """All hypotheses; where a fault is more probable than the file as stated, also pairs of probable faults.
 
@@ -334,11 +340,8 @@ class Bank:
             stated: mean and covariance if nothing is wrong.
             steps: further hypotheses.
             beyond: nats of each suspect that its evidence in this linear model does not have.
-            uncorrected: the mean before a correction, (p,), which may be too large: evidence is what both means have.
         """
         found, pairs = self.alone(stated), list[Hypothesis]()
-        if uncorrected is not None:
-            found = found.weaker(self.alone((uncorrected, stated[1])))
         logs, n = np.append(0.0, self._log_weights(found) + beyond), len(self.suspects)
         likeliest = int(logs.argmax()) - 1
         if np.logaddexp.reduce(logs) > -np.log(LIKELIER) and likeliest >= 0 and found.sizes[likeliest] < FARTHEST_SIZE:
@@ -429,11 +432,6 @@ class _Alone(NamedTuple):
     places: Sequence[tuple[slice, slice]]  # there of ``whiten`` and ``g``
     onto: FloatArray  # (R, r) columns of all along those of the other one
     slopes: Sequence[FloatArray]  # U of each at its constants
-
-    def weaker(self, other: "_Alone") -> "_Alone":
-        """With the evidence of each that is the less of two."""
-        less = other.nats < self.nats
-        return self._replace(nats=np.where(less, other.nats, self.nats), sizes=np.where(less, other.sizes, self.sizes))
 
     def root(self, one: Hypothesis, covariance: FloatArray, part: slice) -> Known:
         """As :meth:`Root.root`."""

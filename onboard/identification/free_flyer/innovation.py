@@ -17,6 +17,8 @@ from onboard.identification.free_flyer.held_against import stated_after
 from onboard.identification.free_flyer.misfit import InnovationMisfit
 from onboard.identification.free_flyer.prediction.further import OF_FRICTION, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseCorrection
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.identification.free_flyer.suspects import Believed, Rivals
 
@@ -24,12 +26,13 @@ _MOST_TOLD = 256  # batches whose errors wait to be taken out
 
 
 class TickBatch(NamedTuple):
-    """Ticks of a batch: what is predicted, what was measured and its sigma, (b, lines); their times."""
+    """Ticks of a batch."""
 
     predicted: TickPrediction
-    measured: FloatArray
-    sigma: FloatArray
+    measured: FloatArray  # (b, lines)
+    noise: LineNoise
     time_s: FloatArray  # (b,)
+    correction: NoiseCorrection  # of the state
 
 
 class ReferenceErrors(NamedTuple):
@@ -48,25 +51,28 @@ class Innovation(NamedTuple):
     e: FloatArray  # L^-1 (measured less predicted)
     L: FloatArray
     steps: FloatArray  # L^-1 H D, (lines, m): what steps in flight would add
+    corrected_e: FloatArray  # ``e`` at the state from which what noise of the joints has done is taken out
+    doubt: FloatArray  # L^-1 H C, (lines, r), C a root of what its covariance is larger by than the filter's
     ticks: int
 
     def judged(self, step: Believed | None) -> "Innovation":
-        """With ``e`` and ``L`` as they are given a step that the filter does not follow: what is to be tested."""
-        if step is None:
+        """With ``e`` and ``L`` of what is to be tested: without noise of the joints, and given a step not followed."""
+        H, e = self.doubt, self.corrected_e
+        if step is not None:
+            G = self.steps[:, [*step.which]]
+            H, e = np.hstack([H, G @ step.root]), e - G @ step.size
+        if not H.size:
             return self
-        G = self.steps[:, [*step.which]]
-        H = G @ step.root
         K = np.linalg.cholesky(np.eye(len(H)) + H @ H.T)
-        e = dtrtrs(K, self.e - G @ step.size, lower=True)[0]
-        return self._replace(e=e, L=self.L @ K)
+        return self._replace(e=dtrtrs(K, e, lower=True)[0], L=self.L @ K)
 
     def first(self, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """``W``, ``e`` and ``steps`` of so many lines."""
-        return self.W[:lines], self.e[:lines], self.steps[:lines]
+        """``W``, ``corrected_e`` and ``steps`` of so many lines."""
+        return self.W[:lines], self.corrected_e[:lines], self.steps[:lines]
 
     def corrected(self, lines: int, state: FloatArray, covariance: FloatArray) -> Known:
         """State, (p,), and covariance, (p, p), with so many lines taken in."""
-        W, e, _ = self.first(lines)
+        W, e = self.W[:lines], self.e[:lines]
         less = W.T @ W
         return state + W.T @ e, np.subtract(covariance, less, out=less)
 
@@ -119,18 +125,20 @@ class Innovations:
         if not batch.predicted.moderate:
             raise SingularError("the joints' signals are nonsense; no motion follows")
         rows, p = self._fusion.rows(order, len(there)), len(covariance)
-        r = (batch.measured - batch.predicted.values) / batch.sigma
+        r = (batch.measured - batch.predicted.values) / batch.noise.sigma
         H = batch.predicted.jacobian.reshape(r.size, p).take(rows, 0)
-        H /= batch.sigma.ravel()[rows, None]
+        H /= batch.noise.sigma.ravel()[rows, None]
         if not there.all():
             r[~there], H[~there.ravel()[rows]] = 0.0, 0.0
         steps = self._steps.changed.D
-        known = np.empty((p + 1 + steps.shape[1], r.size))  # transposed: LAPACK's order
+        columns = np.hstack([steps, batch.correction.shift[:, None], batch.correction.most])
+        known = np.empty((p + 1 + columns.shape[1], r.size))  # transposed: LAPACK's order
         PH = np.matmul(covariance, H.T, out=known[:p])
         known[p] = r.ravel()[rows]
-        np.matmul(steps.T, H.T, out=known[p + 1 :])
+        np.matmul(columns.T, H.T, out=known[p + 1 :])
         S = H @ PH
-        S.flat[:: len(S) + 1] += 1.0
+        at = np.argsort(rows).reshape(r.shape)
+        S[at[:, :, None], at[:, None]] += batch.noise.together(there)
         if not S.diagonal().max() < SINGULAR:  # as with NaN
             raise SingularError("the state says nothing of what is measured; it has to be estimated anew")
         try:
@@ -138,20 +146,24 @@ class Innovations:
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it has to be estimated anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
-        return Innovation(solved[:, :p], solved[:, p], L, solved[:, p + 1 :], len(there))
+        W, e, of_steps, moved, doubt = np.split(solved, np.cumsum([p, 1, steps.shape[1], 1]), axis=1)
+        return Innovation(W, e[:, 0], L, of_steps, (e - moved)[:, 0], doubt, len(there))
 
     def agreeing(
         self,
         batch: TickBatch,
         there: BoolArray,
         covariance: FloatArray,
-        innovation: Innovation,
+        both: tuple[Innovation, Innovation],
         misfit: InnovationMisfit,
         step: Believed | None,
     ) -> tuple[Innovation, int]:
-        """Innovation with instruments that contradict those before them at the end, and how many lines to use."""
+        """Innovation with instruments that contradict those before them at the end, and how many lines to use.
+
+        ``both``: it and, of it, what is to be tested.
+        """
         fusion, order, refused = self._fusion, self._fusion.order, list[int]()
-        judged = innovation.judged(step)
+        innovation, judged = both
         while (bad := fusion.improbable(order, judged.e, there, refused)) is not None:
             refused.append(bad)
             if bad not in fusion.left_out:
@@ -221,7 +233,7 @@ class Innovations:
         """The first of a batch, which is reported: nothing is left out of it yet; see :meth:`of`."""
         innovation = self.of(batch, there, self._fusion.order, covariance)
         own, lines = self._lines[self._fusion.reference], 6 * innovation.ticks
-        L, sigma = innovation.L[:lines, :lines], batch.sigma[:, own]
+        L, sigma = innovation.L[:lines, :lines], batch.noise.sigma[:, own]
         wide = np.where(there[:, own], np.sqrt(np.einsum("ij,ij->i", L, L)).reshape(-1, 6) * sigma, np.nan)
         error = (batch.measured - batch.predicted.values)[:, own]
         self.told.append(ReferenceErrors(batch.time_s, error, wide, there[:, own.start].copy()))

@@ -282,7 +282,7 @@ class MotionIdentifier:
     def _weighed(self) -> Weighed:
         """What may not be as stated, by the filter's state."""
         assert self.ekf.state is not None
-        return self.ekf.rivals.weighed(self.ekf.corrected(self.ekf.state), self.ekf.covariance)
+        return self.ekf.rivals.weighed(*self.ekf.known)
 
     def _by_the_data(self, found: Corrections) -> dict[str, float]:
         """Corrections by name in sigmas of what the data tell of each, but for those that change during the flight."""
@@ -341,8 +341,8 @@ class MotionIdentifier:
         worst = float(np.abs(found.in_told).max(initial=0.0))
         misfit = max(misfit, (worst / DOUBTFUL) ** 2, found.at_once.widening)
         mixture = weighed.mixed(partial(weighed.known, part=PAYLOAD))
-        noise = self.ekf.correction.part(PAYLOAD)  # which the misfit does not widen
-        self._mixed = weighed, mixture.wider(noise.covariance / misfit), misfit
+        doubt = self.ekf.correction.sigma[PAYLOAD]  # which the misfit does not widen
+        self._mixed = weighed, mixture.wider(np.outer(doubt, doubt) / misfit), misfit
         return self._mixed[1:]
 
     def _effects(self, along: FloatArray, shares: FloatArray) -> FloatArray:

@@ -22,6 +22,11 @@ An encoder that jumps is followed by the filter. From there on its angle is read
 zero has slipped, nothing is left of that. If its scale or its delay is another one, its size follows from that of the
 jump, and the zero takes off what it does there; each is as likely as a zero that has slipped.
 
+Noise of the joints is in J and d, as it is in every gradient (:mod:`.prediction.joint_noise`): with N what it has added
+to a state's information, ``D' N D`` to J, and to d what it adds to the gradient, which is taken off as it comes. The
+slopes are ``K = J - D' N D``, and the information of a step that of its estimating equation, ``K V^-1 K`` with
+``V = K + c D' N D`` (:meth:`Steps.told`), for each step by itself.
+
 A time that is no longer kept, the one of the least likely hypotheses, leaves its odds to the one after it.
 """
 
@@ -30,12 +35,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray, IndexArray
-from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, STEPS_PER_HOUR, LIKELY_DELAY_s
+from onboard.estimation.arrays import ROUNDING, FloatArray, IndexArray
+from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELY_SIZE, STEPS_PER_HOUR, LIKELY_DELAY_s
 from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
 from onboard.identification.evidence.bodies import CHANGES, EACH, changes
 from onboard.identification.free_flyer.prediction.further import FurtherCell
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import NOISELESS, NoiseAdded
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.regressor.signals import EncoderJump
 
@@ -216,10 +222,26 @@ class Steps:
     def begin(self, inside: Changed, state: FloatArray) -> None:
         """The filter goes on from a window with these steps, in this state, (p,)."""
         self._batches, self.changed = 0, inside
+        self._noise = self._spread = np.zeros_like(inside.J)  # in that, and what its gradient scatters by
         self._stands = np.ones(len(inside.d) // max(len(self._of), 1))  # times that each time stands for
         self.suspects = [*self._what] * len(self._stands)
         self._begun = np.full(len(self._stands), -1)  # batch after which each is there; -1: in the window
         self._may_be(state)
+
+    def told(self, changed: Changed) -> Changed:
+        """What the readings tell of steps, noise of the joints taken off: see :func:`.correction_of`."""
+        J, noise, d = changed.J, self._noise, np.zeros_like(changed.d)
+        if not (noise.diagonal() > NOISELESS * J.diagonal()).any():
+            return changed
+        by, columns = np.zeros_like(J), columns_of([*self._what] * (len(d) // len(self._of)))
+        for width in {len(own) for own in columns}:
+            own = np.array([each for each in columns if len(each) == width])
+            at = own[:, :, None], own[:, None]
+            K = _positive(J[at] - noise[at], 1.0)
+            told = np.linalg.solve(K + self._spread[at] + LEAST_WEIGHT * np.eye(width), K).swapaxes(1, 2)
+            d[own] = (told @ changed.d[own][:, :, None])[:, :, 0]
+            by[at] = _positive(told @ K, 0.5) @ _positive(J[at], -0.5)
+        return changed._replace(d=d, J=by @ J @ by.T)
 
     @property
     def altering(self) -> tuple[int, ...]:
@@ -240,7 +262,7 @@ class Steps:
         told: tuple[FloatArray, FloatArray, FloatArray],
         transition: FloatArray,
         state: FloatArray,
-        noise: tuple[FloatArray, FloatArray] | None = None,
+        noise: NoiseAdded,
     ) -> None:
         """To the end of a batch; every so often, the constants may be others from there on.
 
@@ -249,14 +271,18 @@ class Steps:
 
         Args:
             state: at that end, (p,).
-            told: of its lines ``L^-1 H P``, (lines, p), whitened innovations, (lines,), and ``L^-1 H D``, (lines, m).
+            told: of its lines ``L^-1 H P``, (lines, p), whitened innovations at the state without what noise of the
+                joints has done, (lines,), and ``L^-1 H D``, (lines, m).
             transition: of what changes, (c, p).
-            noise: the gradient that it has added in all, and adds in a batch, (p,) each.
+            noise: of the joints, what it adds in the batch.
         """
         (D, d, J, of_each), changing = self.changed, self._predictor.changing
         W, e, seen = told
-        if noise is not None and len(e):
-            e, d = e - W @ noise[0], d + D.T @ noise[1]
+        if len(e) and noise.information.size:
+            at = np.flatnonzero(noise.information.diagonal() > NOISELESS * noise.of_lines)
+            information = D[at].T @ noise.information[np.ix_(at, at)] @ D[at]
+            d = d + D.T @ noise.gradient
+            self._noise, self._spread = self._noise + information, self._spread + noise.scattering * information
         now, more = W.T @ seen, seen.T @ seen
         np.subtract(D, now, out=now)
         now[changing] = transition @ now
@@ -281,10 +307,21 @@ class Steps:
         steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
         new = now.about(state).changed(len(D))
         d, J = np.append(d[steps], np.zeros(each)), np.pad(J.take(steps, 0).take(steps, 1), (0, each))
+        of_noise = self._noise, self._spread
+        self._noise, self._spread = (np.pad(part.take(steps, 0).take(steps, 1), (0, each)) for part in of_noise)
         self.changed = Changed(np.hstack([D[:, steps], new]), d, J, self._of_each)
         self._stands = np.append(self._stands[kept], 1.0)
         self._begun = np.append(self._begun[kept], self._batches)
         self.suspects += self._what
+
+
+def _positive(A: FloatArray, power: float) -> FloatArray:
+    """Powers of the positive parts of symmetric matrices, (n, k, k)."""
+    values, V = np.linalg.eigh(A)
+    there = values > ROUNDING * values.max(axis=1, keepdims=True)
+    there &= values > 0.0
+    powers = np.power(values, power, out=np.zeros_like(values), where=there)
+    return np.asarray(V * powers[:, None] @ V.swapaxes(1, 2), np.float64)
 
 
 def named(predictor: ImuPredictor, own: IndexArray, kind: str) -> IndexArray:

@@ -25,7 +25,7 @@ from onboard.estimation.policy import (
     LIKELY_DELAY_s,
     LIKELY_PLACE_m,
 )
-from onboard.identification.evidence.bank import Bank, Changed, Hypothesis, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Changed, Suspect, Weighed
 from onboard.identification.evidence.bodies import EACH, ways
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import FurtherCell
@@ -71,24 +71,28 @@ class Rivals:
         self._nats = self._nats_before = 0.0  # evidence of what is free, by the last window and by what is not in it
         self._beyond = 0.0  # of that, what the linear model does not have
         self._weighed: Weighed | None = None
-        self._corrected: tuple[FloatArray, FloatArray] | None = None  # a state, and before its correction for noise
+        self._corrected: tuple[FloatArray, Known] | None = None  # a state, and what it was before a correction
 
-    def corrected(self, state: FloatArray, before: FloatArray) -> None:
-        """A state, (p,), is another one with what noise has done to it taken out."""
+    def corrected(self, state: FloatArray, before: Known) -> None:
+        """A state, (p,), is what was known with what noise of the joints has done to it taken out."""
         self._corrected = state, before
 
-    def _weigh(self, known: Known, steps: Sequence[Hypothesis], beyond: FloatArray | float = 0.0) -> Weighed:
-        """All hypotheses, by what is known if all that is free is so."""
-        of, uncorrected = self._corrected, None
-        if of is not None and of[0] is known[0] and of[1] is not of[0]:
-            uncorrected = self.stated((of[1], known[1]))[0]
-        return self._bank.weigh(self.stated(known), steps, beyond, uncorrected)
+    def _carried(self, known: Known) -> Known:
+        """What the filter goes on with, whose innovations the steps are of."""
+        of = self._corrected
+        return known if of is None or of[0] is not known[0] else of[1]
+
+    def released(self, numbers: Iterable[int]) -> FloatArray | None:
+        """Root of the information that is stated and, as these are free, not taken for granted, (p, r)."""
+        return self._bank.released(free) if (free := sorted(set(numbers))) else None
 
     def step(self, state: FloatArray, covariance: FloatArray) -> Believed | None:
         """The step that is likelier than anything else, by the filter's state; None if none is."""
         weighed = self.weighed(state, covariance)
         which = weighed.likeliest.steps
-        return Believed(which, *self.steps.changed.sizes(which)) if which and weighed.contradicts else None
+        if not which or not weighed.contradicts:
+            return None
+        return Believed(which, *self.steps.told(self.steps.changed).sizes(which))
 
     def adds(self, state: FloatArray, covariance: FloatArray) -> Adds | None:
         """What that step adds to the filter's state and covariance."""
@@ -162,7 +166,7 @@ class Rivals:
             Suspects, or steps in it; and their odds.
         """
         steps = self._bank.steps_as_stated(known, self.freed, inside) if self.freed else inside
-        weighed = self._weigh(known, self.steps.of_window(steps, FARTHEST_SIZE if payload else 0.0))
+        weighed = self._bank.weigh(self.stated(known), self.steps.of_window(steps, FARTHEST_SIZE if payload else 0.0))
         weighed = weighed.of_steps if changed else weighed
         one = weighed.likeliest
         already = bool(one.numbers) and set(one.numbers) <= set(self.freed)
@@ -235,10 +239,10 @@ class Rivals:
         if self._weighed is None or of is None or of[0] is not state or of[1] is not covariance or of[2] is not steps:
             self._of, known = (state, covariance, steps), (state, covariance)
             if self.freed:
-                steps = self._bank.steps_as_stated(known, self.freed, steps)
-            alone = steps.hypotheses(self.steps.suspects)
+                steps = self._bank.steps_as_stated(self._carried(known), self.freed, steps)
+            alone = self.steps.told(steps).hypotheses(self.steps.suspects)
             beyond = np.where(self._concerned(), self._beyond, 0.0) if self.freed else 0.0
-            self._weighed = self._weigh(known, alone, beyond)
+            self._weighed = self._bank.weigh(self.stated(known), alone, beyond)
         return self._weighed
 
     def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
@@ -258,7 +262,7 @@ class Rivals:
             return None
         before = self.freed
         self._also(counting(weighed))
-        known, steps = (state, covariance), self.steps.changed
+        known, steps = self._carried((state, covariance)), self.steps.changed
         if before:
             known, steps = self._stated(known, before), self._bank.steps_as_stated(known, before, steps)
         self.steps.changed = self._bank.steps_freed(known, self.freed, steps)

@@ -53,17 +53,18 @@ class BlockNoise(NamedTuple):
 
     def at(self, by: FloatArray) -> FloatArray:
         """To the gradient at parameters that are so far from the estimate, (p,)."""
-        gradient, information = self.of_constants
+        gradient, information = self.of_constants[:2]
         return np.asarray((gradient + information @ (self.by_x @ by)) @ self.by_x, np.float64)
 
 
-def sum_of(noise: Sequence[BlockNoise], parameters: int) -> NoiseAdded:
-    """What noise adds to all blocks together."""
+def sum_of(noise: Sequence[BlockNoise], parameters: int, instruments: int) -> NoiseAdded:
+    """What noise adds to all blocks together, of so many instruments."""
     found = NoiseAdded(np.zeros(parameters), np.zeros((parameters, parameters)))
     for of_constants, by_x in noise:
         found.gradient[:] += of_constants.gradient @ by_x
         found.information[:] += by_x.T @ of_constants.information @ by_x
-    return found
+    scatter, ticks = sum(one.of_constants.scatter for one in noise), sum(one.of_constants.ticks for one in noise)
+    return found._replace(scatter=scatter, ticks=-(-ticks // instruments))
 
 
 class NormalEquations(NamedTuple):

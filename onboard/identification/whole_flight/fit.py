@@ -31,9 +31,9 @@ from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.free_flyer.guesses import first_rate
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import correction_of
+from onboard.identification.free_flyer.prediction.joint_noise import root_of
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import added_by_line, is_noisy
-from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.identification.free_flyer.steps import OtherError
 from onboard.identification.whole_flight.blocks import (
     Along,
@@ -208,7 +208,8 @@ class WholeFlight:
 
     def _found(self, minimum: _Minimum) -> FlightFit:
         found, blocks, added = minimum.fit, minimum.blocks, self._noise_added(minimum.fit.x)
-        correction = correction_of(found.covariance, sum_of(added, len(self.names)), self.sigma)
+        noise = sum_of(added, len(self.names), len(self.instruments))
+        correction = root_of(found.covariance, noise, self.sigma)
         if added:  # in one step, of gradient and noise alike: either alone, anew at its end, would be off
             shift = correction.shift
             found = found._replace(x=found.x + shift)
@@ -233,8 +234,10 @@ class WholeFlight:
             by_x[:10] *= one.held
             for along in self._along(x, k, np.inf):
                 here, before = along.ticks, along.ticks.start - 1
-                known = one.ticks.part(slice(before, here.stop + 1)), sigma[here], use[here], along.state
-                of_lines = added_by_line(self.predictor, *known, before // BATCH_TICKS, along.predicted)
+                seen = use[here] & ~self.predictor.of_poses
+                whitening = LineNoise.alone(sigma[here]).whitening(seen)
+                known = one.ticks.part(slice(before, here.stop + 1)), whitening, along.state
+                of_lines = added_by_line(self.predictor, *known, before, along.predicted)
                 for own in self.instruments:
                     if use[here, own.lines].any():
                         found.append(BlockNoise(of_lines.of(own.lines, slice(RATE.stop, None)), by_x))

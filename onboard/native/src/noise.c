@@ -27,7 +27,7 @@ static void recoil(const heft_noise *s, const heft_motion *m, const double *scre
     }
 }
 
-/* Squares of the effects of an error of one in each joint's rate and acceleration, (joints, 2, lines) */
+/* Effects of an error of one in each joint's rate and acceleration, (joints, 2, lines) */
 static void effects(const heft_noise *s, const heft_cut *const *cuts, const heft_errors *const *errors,
                     const heft_frames *f, const heft_motion *m, const double *screws, const double *twist, double *out) {
     heft_moving v = {.n = 1, .links = f->links, .R = f->R, .p = f->p};
@@ -52,41 +52,26 @@ static void effects(const heft_noise *s, const heft_cut *const *cuts, const heft
             for (i64 i = 0; i < 6; i++) acceleration[6 * s->imus + k] += (own[i] + moved[i]) * u[i];
         }
     }
-    for (i64 k = 0; k < 2 * s->tree->joints * s->lines; k++) out[k] *= out[k];
 }
 
-/* Results: one sigma of it, (count, n, lines), for each of some sigmas of the joints' rates and accelerations, (count, n, 2,
- * joints); the effect is that at one tick of so many. q (n, joints), errors of the joints beyond each cell's cut. */
+/* Results: effects at each of n angles q, (n, joints, 2, lines); errors of the joints beyond each cell's cut. */
 HEFT_API int heft_joint_noise(const heft_noise *s, const heft_cut *const *cuts, const heft_errors *const *errors, i64 n,
-                              i64 every, i64 count, const double *q, const double *chi, const double *sigma, double *out,
-                              i64 size) {
+                              const double *q, const double *chi, double *out, i64 size) {
     i64 nj = s->tree->joints, nl = s->tree->links, chain = 24 * nl + 30 * nj + 12 * (nj + 1), moving = motion_size(1, nl);
-    if (n < 0 || count < 0 || every < 1 || size != count * n * s->lines || s->lines < 6 * s->imus + s->cells)
-        return HEFT_SIZE;
-    double *still = calloc((size_t)(nj + chain + moving + nj * (6 + 2 * s->lines) + 1), sizeof(double));
+    if (n < 0 || size != 2 * n * nj * s->lines || s->lines < 6 * s->imus + s->cells) return HEFT_SIZE;
+    double *still = calloc((size_t)(nj + chain + moving + 6 * nj + 1), sizeof(double));
     if (!still) return HEFT_MEMORY;
-    double *at = still + nj, *twist = at + chain + moving, *squares = twist + 6 * nj;
+    double *at = still + nj, *twist = at + chain + moving;
     heft_frames f = {1, nl, at, at + 9 * nl, at + 12 * nl, at + 18 * nl, chi};
     heft_motion m;
     motion_in(at + chain, 1, nl, &m);
     int code = HEFT_OK;
     for (i64 i = 0; i < n && !code; i++) {
-        if (i % every == 0) {
-            const double *screws = at + 24 * nl + 24 * nj;
-            code = heft_chain(s->tree, 1, q + nj * i, still, still, NULL, at, chain);
-            bodies_at_rest(&f, &m);
-            recoil(s, &m, screws, twist);
-            effects(s, cuts, errors, &f, &m, screws, twist, squares);
-        }
-        for (i64 c = 0; c < count; c++)
-            for (i64 line = 0; line < s->lines; line++) {
-                const double *own = sigma + 2 * nj * (n * c + i);
-                double sum = 0.0;
-                for (i64 j = 0; j < nj; j++)
-                    for (i64 k = 0; k < 2; k++)
-                        sum += squares[s->lines * (2 * j + k) + line] * (own[nj * k + j] * own[nj * k + j]);
-                out[s->lines * (n * c + i) + line] = sqrt(sum);
-            }
+        const double *screws = at + 24 * nl + 24 * nj;
+        code = heft_chain(s->tree, 1, q + nj * i, still, still, NULL, at, chain);
+        bodies_at_rest(&f, &m);
+        recoil(s, &m, screws, twist);
+        effects(s, cuts, errors, &f, &m, screws, twist, out + 2 * nj * s->lines * i);
     }
     free(still);
     return code;

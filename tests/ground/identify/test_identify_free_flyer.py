@@ -261,8 +261,8 @@ def test_the_longest_time_with_one_payload(
 
 def resting(time_s: NDArray[np.float64], joints: NDArray[np.float64]) -> Ticks:
     n = len(time_s)
-    six = np.zeros((n, 6)), np.ones((n, 6))
-    return Ticks(time_s, joints, joints, joints, *six, *np.zeros((2, n, 2, 5)), np.zeros((n, 3, 0)), np.zeros((n, 0)))
+    six, exact = (np.zeros((n, 6)), np.ones((n, 6))), (*np.zeros((2, n, 2, 5)), np.zeros((n, 3, 0)), np.zeros((n, 0)))
+    return Ticks(time_s, joints, joints, joints, *six, *exact, np.ones(n))
 
 
 def test_ticks_without_joints_cut_the_time() -> None:

@@ -238,18 +238,3 @@ def test_sizes_of_steps_are_those_of_their_normal_equations(rng):
     at = np.ix_([0, 2, 3], [0, 2, 3])
     np.testing.assert_allclose(root @ root.T, np.linalg.inv(np.eye(3) + J[at]))
     np.testing.assert_allclose(mean, np.linalg.solve(np.eye(3) + J[at], d[[0, 2, 3]]))
-
-
-def test_a_suspect_has_no_more_evidence_than_it_has_without_a_correction_that_may_be_too_large(linear: Linear) -> None:
-    """By one mean in a flight's state a link was wrong with 34 nats, by the other with 3: it was as stated."""
-    bank, (x, P) = Bank([BODY, CELL], SIGMA), linear.solved()
-    plain = bank.weigh((x, P)).every
-    off = x.copy()
-    off[CELL.at] += 10.0 * SIGMA[CELL.at]
-    corrected = bank.weigh((off, P)).every
-    assert corrected[2].nats > plain[2].nats + 10.0
-    for known, other in ((off, x), (x, off)):
-        both = bank.weigh((known, P), uncorrected=other).every
-        for k in (1, 2):
-            least = min(plain[k], corrected[k], key=lambda one: one.nats)
-            assert (both[k].nats, both[k].size) == (least.nats, least.size)

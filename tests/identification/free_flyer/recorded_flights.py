@@ -27,7 +27,7 @@ def ticks_of(signals):
     sigma = np.tile(np.r_[signals.rate_sigma, signals.specific_force_sigma], (n, 1))
     measured = np.c_[signals.rate, signals.specific_force]
     joints = (x.copy() for x in (signals.q, signals.dq, signals.ddq))
-    exact = *np.zeros((2, n, 2, 5)), np.zeros((n, 3, 0)), np.zeros((n, 0))
+    exact = *np.zeros((2, n, 2, 5)), np.zeros((n, 3, 0)), np.zeros((n, 0)), np.ones(n)
     return Ticks(0.054 + signals.period_s * np.arange(n), *joints, measured, sigma, *exact)
 
 

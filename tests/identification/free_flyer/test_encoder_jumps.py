@@ -98,7 +98,7 @@ def flown(recursive: MotionFilter, ticks: Ticks, jump: EncoderJump) -> MotionFil
 def sigmas_off(recursive: MotionFilter) -> tuple[float, float]:
     """Of the mass over all that counts; and its sigma."""
     assert recursive.state is not None
-    weighed = recursive.rivals.weighed(recursive.corrected(recursive.state), recursive.covariance)
+    weighed = recursive.rivals.weighed(*recursive.known)
     mean, covariance = weighed.mixed(lambda one: weighed.known(one, PAYLOAD)).known
     sigma = float(np.sqrt(covariance[0, 0]))
     return abs(float(mean[0]) - HELD_KG) / sigma, sigma
@@ -115,7 +115,7 @@ def test_the_payload_is_followed_and_another_scale_is_named(held: Any, scale: fl
     assert sigma < 0.06 * HELD_KG
     assert recursive.changes == []
     assert recursive.state is not None
-    names = recursive.rivals.weighed(recursive.corrected(recursive.state), recursive.covariance).names
+    names = recursive.rivals.weighed(*recursive.known).names
     assert ("scale_joint_2" in names) or not scale
 
 

@@ -107,7 +107,7 @@ def test_a_contradicted_correction_widens_what_is_told_unless_its_instrument_is_
             covariance=covariance,
             lines=quiet,
             misfit=quiet,
-            correction=correction_of(np.eye(13), NoiseAdded.none(13), np.ones(13)),
+            correction=correction_of((state, covariance), NoiseAdded.none(15), np.ones(15)),
             rivals=SimpleNamespace(spanned=NONE),
         )
     )
@@ -147,8 +147,8 @@ def unsure(mean: np.ndarray, sigma: np.ndarray, moved: float = 0.0, spanned: np.
             state=state,
             lines=quiet,
             misfit=quiet,
-            correction=correction_of(np.eye(13), NoiseAdded.none(13), np.ones(13)),
-            corrected=lambda known: known,  # exact joints
+            correction=correction_of((state, covariance), NoiseAdded.none(14), np.ones(14)),
+            known=(state, covariance),  # exact joints
             rivals=SimpleNamespace(weighed=Once(), spanned=spanned),
             held=True,
             holds=True,
@@ -262,6 +262,7 @@ def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeyp
     online.triangle()
     assert len(asked) == 1
     ekf.state, ekf.covariance = np.where(np.arange(14) == 13, 0.0, ekf.state), ekf.covariance.copy()
+    ekf.known = ekf.state, ekf.covariance
     assert not online.findings().against
     assert len(asked) == 2
     ekf.fusion.left_out.append(0)

@@ -14,6 +14,7 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer import steps as steps_module
 from onboard.identification.free_flyer.innovation import Innovation
 from onboard.identification.free_flyer.prediction.further import CellPrior, FurtherCell
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.steps import ALTERED, Steps
 from onboard.identification.free_flyer.suspects import Believed
 
@@ -24,7 +25,7 @@ SCALE = Suspect("cell", np.array([4]), np.array([[0.1]]), 1e-2)
 OF_IMUS: dict[str, Any] = {"instruments": ("cell",), "imu_frames": (), "of_each": ()}  # none
 WITH_A_CELL = {"names": NAMES, "sigma": SIGMA, "further": (CELL,), "changing": np.array([0]), **OF_IMUS}
 NO_PAYLOAD = slice(0, 0)
-BATCHES, LINES = 6, 4
+BATCHES, LINES, EXACT = 6, 4, NoiseAdded.none(5)
 BODY = Suspect("body", np.array([1, 2]), np.array([[2.0], [1.0]]), 1e-2)
 
 
@@ -75,16 +76,17 @@ def flight(rng: np.random.Generator) -> Flight:
     return Flight(H, F, rng.standard_normal((BATCHES, LINES)))
 
 
-def filtered(flight: Flight, steps: Steps, noise: tuple[np.ndarray, np.ndarray] | None = None) -> Known:
-    """The last state by a filter, with steps beside it."""
+def filtered(flight: Flight, steps: Steps, noise: NoiseAdded = EXACT, shift: np.ndarray | float = 0.0) -> Known:
+    """The last state by a filter, with steps beside it; noise that is in each batch, by which its state is off."""
     x, P = np.zeros(5), np.diag(SIGMA**2)
     for H, F, y in zip(*flight, strict=True):
         L = np.linalg.cholesky(H @ P @ H.T + np.eye(LINES))
         W, e, seen = np.split(np.linalg.solve(L, np.column_stack([H @ P, y - H @ x, H @ steps.changed.D])), [5, 6], 1)
+        corrected = e[:, 0] - np.linalg.solve(L, H @ np.broadcast_to(shift, 5))
         x, P = x + W.T @ e[:, 0], P - W.T @ W
         T = np.vstack([F, np.eye(5)[1:]])
         x, P = T @ x, T @ P @ T.T
-        steps.step((W, e[:, 0], seen), F, x, noise)
+        steps.step((W, corrected, seen), F, x, noise)
     return x, P
 
 
@@ -177,18 +179,29 @@ def test_a_step_that_goes_back_is_two_and_one_that_stays_is_one(
 
 
 def test_what_is_judged_given_a_step_is_the_innovation_of_one_who_knows_of_it(rng: np.random.Generator) -> None:
-    """Each block given those before it, as without a step: its squares are of the conditional density."""
+    """Each block given those before it, as without a step: its squares are of the conditional density.
+
+    Noise of the joints has moved the state, and the covariance without it is larger.
+    """
     lines, size, root = 8, np.array([0.3, -0.2]), np.array([[0.2, 0.0], [-0.1, 0.3]])
     L, seen = np.tril(rng.standard_normal((lines, lines))), rng.standard_normal((lines, 3))
-    innovation = Innovation(np.zeros((lines, 5)), rng.standard_normal(lines), L, seen, 1)
-    assert innovation.judged(None) is innovation
-    judged, both = innovation.judged(Believed((1, 2), size, root)), seen[:, 1:]
-    spread = L @ (np.eye(lines) + both @ root @ root.T @ both.T) @ L.T
-    off = L @ (innovation.e - both @ size)
-    np.testing.assert_allclose(judged.L @ judged.e, off, atol=1e-12)
-    for first in range(1, lines + 1):
-        squares = off[:first] @ np.linalg.solve(spread[:first, :first], off[:first])
-        assert judged.e[:first] @ judged.e[:first] == pytest.approx(squares)
+    e, corrected, doubt = rng.standard_normal(lines), rng.standard_normal(lines), rng.standard_normal((lines, 2))
+    plain = Innovation(np.zeros((lines, 5)), e, L, seen, e, np.zeros((lines, 0)), 1)
+    assert plain.judged(None) is plain
+    noisy, both = plain._replace(corrected_e=corrected, doubt=doubt), seen[:, 1:]
+    of_step, of_noise = both @ root @ root.T @ both.T, doubt @ doubt.T
+    step = Believed((1, 2), size, root)
+    for innovation, given, own, more in (
+        (plain, step, e - both @ size, of_step),
+        (noisy, None, corrected, of_noise),
+        (noisy, step, corrected - both @ size, of_step + of_noise),
+    ):
+        judged = innovation.judged(given)
+        spread, off = L @ (np.eye(lines) + more) @ L.T, L @ own
+        np.testing.assert_allclose(judged.L @ judged.e, off, atol=1e-12)
+        for first in range(1, lines + 1):
+            squares = off[:first] @ np.linalg.solve(spread[:first, :first], off[:first])
+            assert judged.e[:first] @ judged.e[:first] == pytest.approx(squares)
 
 
 @pytest.mark.parametrize("free", [BODY, SCALE], ids=["body", "the scale that steps"])
@@ -232,7 +245,8 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
     steps, counts = Steps(predictor, NO_PAYLOAD), list[int]()
     for _ in range(600):  # batches of ten ticks
         m = steps.changed.D.shape[1]
-        steps.step((np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))), np.eye(5)[:1], np.zeros(5))
+        told = np.zeros((1, 5)), np.zeros(1), np.zeros((1, m))
+        steps.step(told, np.eye(5)[:1], np.zeros(5), EXACT)
         counts.append(len(steps.suspects))
     scales_and_zeros = 2
     assert counts[0] == scales_and_zeros
@@ -250,22 +264,63 @@ def test_one_may_begin_every_fifth_of_a_second_and_of_a_minute_eight_are_kept_as
 def test_what_noise_does_to_the_state_and_to_each_batch_is_no_step(flight: Flight, steps: Steps, monkeypatch) -> None:
     """A flight whose state is off by noise, and whose batches draw it on, has the evidence of one without noise."""
     rng = np.random.default_rng(4)
-    total, rate = 1e-3 * rng.standard_normal((2, 5))
+    shift, rate = 1e-3 * rng.standard_normal((2, 5))
     filtered(flight, steps)
     plain, now = steps.changed, steps.step
     drawn = np.zeros(len(plain.d))
 
     def noted(told, transition, state, noise):
-        n, (W, _, seen) = steps.changed.d.size, told
-        drawn[:n] += steps.changed.D.T @ rate - seen.T @ (W @ total)
+        n = steps.changed.d.size
+        drawn[:n] += steps.changed.D.T @ rate - told[2].T @ off.pop(0)
         now(told, transition, state, noise)
 
     steps.forget()
+    off = []
+    P = np.diag(SIGMA**2)
+    for H, F, _ in zip(*flight, strict=True):
+        L = np.linalg.cholesky(H @ P @ H.T + np.eye(LINES))
+        off.append(np.linalg.solve(L, H @ shift))
+        W, T = np.linalg.solve(L, H @ P), np.vstack([F, np.eye(5)[1:]])
+        P = T @ (P - W.T @ W) @ T.T
     monkeypatch.setattr(steps, "step", noted)
-    filtered(flight, steps, (total, rate))
+    filtered(flight, steps, NoiseAdded(rate, np.zeros((5, 5))), shift)
     np.testing.assert_allclose(steps.changed.d, plain.d + drawn, atol=1e-12)
     np.testing.assert_array_equal(steps.changed.J, plain.J)
     assert np.abs(drawn).max() > 1e-6
+
+
+def test_what_the_readings_tell_of_a_step_is_without_the_information_of_noise(flight: Flight, steps: Steps) -> None:
+    """Of each the slopes ``K = J - N``, the information ``K V^-1 K`` with ``V = K + c N``, c of products of noise."""
+    filtered(flight, steps)
+    assert steps.told(steps.changed) is steps.changed  # exact joints
+    steps.forget()
+    of_noise, D = np.diag([0.0, 0.3, 0.2, 1.0, 600.0]), list[np.ndarray]()
+    step = steps.step
+
+    def noted(told, *rest):
+        D.append(steps.changed.D)
+        step(told, *rest)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(steps, "step", noted)
+        filtered(flight, steps, NoiseAdded(np.zeros(5), of_noise, 12.0, 10))
+    changed, m = steps.changed, steps.changed.d.size
+    told = steps.told(changed)
+    N = np.zeros(m)
+    for one in D:  # a step that is not there yet has none
+        N[: one.shape[1]] += ((of_noise @ one) * one).sum(axis=0)
+    J = changed.J.diagonal()
+    assert (N[: m - 2] > 0.0).all()
+    K = np.maximum(J - N, 0.0)
+    share = K / (K + 2.2 * N + LEAST_WEIGHT)
+    assert share[: m - 2].min() > 0.01
+    assert share[: m - 2].max() < 0.9
+    np.testing.assert_allclose(told.d, share * changed.d, rtol=1e-9)
+    np.testing.assert_allclose(told.J.diagonal(), share * K, rtol=1e-9, atol=1e-12)
+    some = np.ix_(range(m - 2), range(m - 2))  # all but those that begin now
+    alike = [part.J[some] / np.sqrt(np.outer(own := part.J.diagonal()[: m - 2], own)) for part in (told, changed)]
+    np.testing.assert_allclose(*alike, rtol=1e-9)
+    np.testing.assert_array_equal(told.D, changed.D)
 
 
 def test_gradients_of_ticks_count_for_a_step_from_its_time_on(rng: np.random.Generator) -> None:

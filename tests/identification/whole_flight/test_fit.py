@@ -12,10 +12,10 @@ from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import doubtful, refused_from
 from onboard.identification.evidence.bank import Suspect
-from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
+from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY, NoiseAdded
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight import witnesses
-from onboard.identification.whole_flight.blocks import INSTRUMENTS, apart, total_of
+from onboard.identification.whole_flight.blocks import INSTRUMENTS, BlockNoise, apart, sum_of, total_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import differences, halves
 from onboard.identification.whole_flight.segments import Segment, in_windows
@@ -92,6 +92,14 @@ def test_normal_equations_are_without_what_noise_of_the_joints_adds(noisy, predi
     np.testing.assert_allclose(found.correction.shift / sigma, found.fit.covariance @ added / sigma, atol=0.02)
     left = total_of(found.blocks, len(added)).gradient + flight.prior_information @ found.fit.x
     assert np.abs(left * sigma).max() < 0.02
+
+
+def test_noise_of_a_flight_is_that_of_its_blocks_and_ticks_count_once_for_all_instruments(rng):
+    by_x, parts = rng.normal(size=(3, 5)), [NoiseAdded(g, np.outer(g, g), 6.0, 10) for g in rng.normal(size=(4, 3))]
+    found = sum_of([BlockNoise(one, by_x) for one in parts], 5, 2)
+    np.testing.assert_allclose(found.gradient, by_x.T @ sum(one.gradient for one in parts))
+    np.testing.assert_allclose(found.information, by_x.T @ sum(one.information for one in parts) @ by_x)
+    assert (found.scatter, found.ticks) == (24.0, 20)  # two times ten ticks of two instruments each
 
 
 def test_noise_of_the_joints_may_be_known_of_a_part_of_the_flight(noisy, predictor, fitted):

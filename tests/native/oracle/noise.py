@@ -11,9 +11,9 @@ from tests.native.oracle.chain import chain_motion
 
 
 def of(vehicle, errors, imus, cuts, lines, free, q, chi, sigma):
-    """As :meth:`onboard.identification.free_flyer.prediction.joint_noise.JointNoise.of`, of one sigma."""
-    squares = _effect(vehicle, errors, imus, cuts, lines, free, q[::BATCH_TICKS], chi) ** 2
-    return np.sqrt(np.einsum("njkm,nkj->nm", squares[np.arange(len(q)) // BATCH_TICKS], sigma**2))
+    """As :meth:`onboard.identification.free_flyer.prediction.joint_noise.JointNoise.by_joint`, of one sigma."""
+    effect = _effect(vehicle, errors, imus, cuts, lines, free, q[::BATCH_TICKS], chi)[np.arange(len(q)) // BATCH_TICKS]
+    return np.einsum("njkm,nkj->njkm", effect, sigma).reshape(len(q), 2 * q.shape[1], -1)
 
 
 def _effect(vehicle, errors, imus, cuts, lines, free, q, chi):

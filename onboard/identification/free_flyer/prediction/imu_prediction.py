@@ -38,6 +38,7 @@ from onboard.identification.free_flyer.prediction.further import (
 )
 from onboard.identification.free_flyer.prediction.imu_errors import SIZE, ImuPrior, drift_of, imu_blocks, weight_of
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
+from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.parameters import (
     EXACT_GEOMETRY,
     GeometryPrior,
@@ -90,6 +91,8 @@ class ImuPredictor:
         drawn: of each uncertain link by name, where its deviations from the drawing stand in the state, (10,), and what
             one sigma of each does to its standard parameters, (10, 10).
         stated: (p,) as ``sigma``, of biases as they may be after their drift.
+        constant: (p,) as ``sigma``, NaN for what changes or wanders: of its value now nothing was stated.
+        lasting: (p,) zero for what changes or wanders, one for the others.
         wandering: where delays and the disturbance stand, which wander, and the correlation time of each.
         changing: where rate and biases stand, the only elements of the state that change from tick to tick; with a
             tracker also the base's attitude, and place and velocity of the centre of mass.
@@ -231,6 +234,10 @@ class ImuPredictor:
         self.stated[self.anew_at] = np.nan
         walks = [*((of, DRIFT_MEMORY_s) for _, of in self.biases), *self.wandering]
         self._walking = np.array([of for of, _ in walks], np.intp)
+        self.constant = self.sigma.copy()
+        self.constant[np.concatenate([self.changing, self._walking])] = np.nan
+        self.lasting = np.ones(len(self.names))
+        self.lasting[np.concatenate([self.changing, self._walking])] = 0.0
         self._walked = 2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2  # 1/s
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:
@@ -271,7 +278,7 @@ class ImuPredictor:
             joint_sigma: of joint rates and accelerations, (n, 2, joints).
             state: (p,).
         """
-        return self.joint_noises(q, state, joint_sigma)[0]
+        return sigma_of(self.joint_noises(q, state, joint_sigma)[0])
 
     def rippled(self, ticks: Ticks, wrong: IndexArray) -> FloatArray:
         """The joints' noise at some ticks, (n, 2, joints), where some constants may be far off, by their places.
@@ -294,8 +301,8 @@ class ImuPredictor:
         return noise
 
     def joint_noises(self, q: FloatArray, state: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
-        """As :meth:`joint_noise`, for each of some sigmas."""
-        return self._noise.of(q, self.chi(state), *joint_sigma)
+        """What one sigma of each joint's rate and acceleration does, (n, 2 joints, m), for each of some sigmas."""
+        return self._noise.by_joint(q, self.chi(state), *joint_sigma)
 
     def predict(
         self,

@@ -4,25 +4,35 @@ From the momentum equation of :mod:`onboard.dynamics.free_flight` with eta = 0: 
 ``-C^-1 M`` times that of the joint rates, the error of its acceleration the same times that of the joint accelerations.
 Products of rates are neglected.
 
-The noise is in a prediction and in its derivatives alike (errors in variables). With E(x) what one error of a joint
-does to a line of sigma R, it adds ``sum (dE/dx)' s^2 E / R^2`` to the gradient ``J' r`` of predicted less measured, and
-an estimate of covariance P is off by -P times that (Fuller, Measurement Error Models, 1987, section 3.2), mostly
-towards a light payload. s is the noise of the joints' samples as it is, without an inflation. Every product is taken of
-predictions with an error of one joint's rate or acceleration, each in its turn. The functions of an encoder's cyclic
-errors have it too, as they are of the angle that is read: without them, forces moved a payload by twice what it was off
-by. An error of a rate that lasts would turn the momentum that is carried on, which noise does not: a payload that was
-off by none moved by 10 sigmas.
+The noise is in a prediction and in its derivatives alike (errors in variables). With E(x) what errors of the joints do
+to a tick's lines, over their noise (:mod:`.line_noise`), it adds ``g = sum (dE/dx)' E`` to the gradient ``J' r`` of
+predicted less measured, and ``N = sum (dE/dx)' (dE/dx)`` to its information (Fuller, Measurement Error Models, 1987,
+section 3.2): an estimate is off, mostly towards a light payload. The errors are those of the joints' samples as they
+are, without an inflation. The products are taken of predictions with errors of all joints at once, of which those of
+two joints cancel (:func:`at_once`). The functions of an encoder's cyclic errors have the noise too, as they are of the
+angle that is read: without them, forces moved a payload by twice what it was off by. An error of a rate that lasts
+would turn the momentum that is carried on, which noise does not: a payload that was off by none moved by 10 sigmas.
 
-An estimate is corrected by that, with the doubt in the power of stated noise as its sigma. The noise is in the
-information too, where it adds ``N = sum (dE/dx)' s^2 (dE/dx) / R^2``, and so in the gradient at the corrected estimate:
-the correction is ``(1 - P N)^-1 P`` times that of the gradient, and the covariance ``(1 - P N)^-1 P (1 - N P)^-1``.
-A direction of which nearly all information is noise is known by what is stated alone.
+What is estimated without it is the root of an unbiased estimating equation: the gradient less g, of which the slopes
+are ``K = H - N``, H the information of the lines, and of which the covariance is
+
+    V = K + c N + NOISE_SIGMA^2 g g'
+
+c by what products of noise scatter more than their mean (:attr:`NoiseAdded.scattering`), the last term by the doubt in
+the power of stated noise. The lines then tell as much as ``K V^-1 K``: the information of an estimating equation
+(Godambe, An optimum property of regular maximum likelihood estimation, 1960), the inverse of the sandwich covariance.
+g is that at the estimate as it is now, ``g_k + N_k (x - x_k)`` of a batch k whose estimate was x_k: taken as it was,
+a payload that is right "changed" after its estimate had moved.
+
+Mean and covariance are those of the prior with a Gaussian likelihood of this information, so that they are a pair that
+evidence can be computed of. Along a direction of which nearly all information is noise both go back to the prior.
+In a whole flight, where steps are weighed by the gradients of its blocks, the mean is the root itself, prior and lines
+together, and its covariance ``(1 - P N)^-1 (P + (c - 1) P N P) (1 - N P)^-1`` (:func:`root_of`).
 
 The effect is computed in ``onboard/native/src/noise.c``, of one tick in each batch.
 """
 
 import ctypes
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,21 +41,34 @@ import numpy as np
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import PlacedImu
+from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.native import library, structures
 
 NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
 NOISELESS = 1e-3  # of the variance of a line, or of a parameter's information: what noise below that does is left out
 
+_LEAST = 1e-9  # of the largest share of noise in the information of a direction: those below are rounding
+PRODUCT = 2.0  # variance of the product of two equal normal deviates, over that of two independent ones (Isserlis 1918)
+
 
 class NoiseAdded(NamedTuple):
     """What noise of the joints has added, summed over lines."""
 
-    gradient: FloatArray  # (p,)
+    gradient: FloatArray  # (p,) at the state that it is of: summed over batches, at zero of what lasts
     information: FloatArray  # (p, p); (0, 0): nothing
+    scatter: float = 0.0  # by what the gradient's variance is more than the information, over that, summed over ticks
+    ticks: int = 0
+    of_lines: FloatArray | float = 0.0  # (p,) information of the lines on each by itself, noise in it
+
+    @property
+    def scattering(self) -> float:
+        """Variance of what it adds to the gradient, over what it adds to the information."""
+        return 1.0 + self.scatter / max(self.ticks, 1)
 
     @staticmethod
     def none(size: int) -> "NoiseAdded":
@@ -56,13 +79,21 @@ class NoiseAdded(NamedTuple):
         """Both."""
         if not (self.information.size and other.information.size):
             return self if self.information.size else other
-        return NoiseAdded(self.gradient + other.gradient, self.information + other.information)
+        sums = self.gradient + other.gradient, self.information + other.information
+        of_lines = self.of_lines + other.of_lines
+        return NoiseAdded(*sums, self.scatter + other.scatter, self.ticks + other.ticks, of_lines)
 
-    def but_for(self, part: slice) -> "NoiseAdded":
-        """What it has added to the others, where a part of the state is another one from now on."""
-        gradient, information = self.gradient.copy(), self.information.copy()
+    def moved(self, by: FloatArray) -> "NoiseAdded":
+        """The same at a state that is so far away, (p,)."""
+        return self._replace(gradient=self.gradient + self.information @ by) if self.information.size else self
+
+    def but_for(self, part: slice, at: FloatArray) -> "NoiseAdded":
+        """What it has added to the others, where a part of the state, (p,), is another one from now on."""
+        own = np.zeros_like(at)
+        own[part] = at[part]
+        gradient, information = self.moved(own).gradient.copy(), self.information.copy()
         gradient[part], information[part], information[:, part] = 0.0, 0.0, 0.0
-        return NoiseAdded(gradient, information)
+        return self._replace(gradient=gradient, information=information)
 
 
 class NoiseCorrection(NamedTuple):
@@ -71,6 +102,7 @@ class NoiseCorrection(NamedTuple):
     shift: FloatArray  # (k,)
     sigma: FloatArray  # (k,) of that, all of them together
     root: FloatArray  # (k, r) of what the covariance is larger by, as there is noise in the information
+    most: FloatArray  # (k, s) columns of it, but for those that hardly make it larger
 
     @property
     def covariance(self) -> FloatArray:
@@ -82,49 +114,107 @@ class NoiseCorrection(NamedTuple):
         return NoiseCorrection(*(one[which] for one in self))
 
 
-def correction_of(covariance: FloatArray, added: NoiseAdded, sigma: FloatArray) -> NoiseCorrection:
+def correction_of(
+    known: Known, added: NoiseAdded, sigma: FloatArray, released: FloatArray | None = None
+) -> NoiseCorrection:
     """For the noise of the joints.
+
+    Args:
+        known: mean, (p,), of a prior whose mean is zero, and covariance, (p, p), of all p parameters.
+        added: what noise has added.
+        sigma: stated, of each, (p,); NaN where nothing is.
+        released: root of the information that a wider prior has less than that, (p, r).
+    """
+    x, P = known
+    B, share = _directions(P, added)
+    B, share = B[:, counts := share > NOISELESS], share[counts]
+    noise = (P @ added.gradient) @ B / share  # the gradient is B times this
+    # G = B' H^-1 B without the prior F F', by H^-1 = P + P F (1 - F' P F)^-1 F' P (Woodbury); B' of the lines' estimate
+    has = np.isfinite(sigma) & (sigma > 0.0)
+    PF, x_F = P[:, has] / sigma[has], x[has] / sigma[has]
+    S = PF[has] / sigma[has, None]
+    if released is not None:
+        R = _root_less(sigma[has, None] * released[has])
+        PF, x_F, S = PF @ R, R @ x_F, R @ S @ R
+    Y = PF.T @ B
+    told = np.linalg.solve((1.0 + ROUNDING) * np.eye(len(S)) - S, np.column_stack([Y, x_F]))
+    G, lines = np.diag(share) + Y.T @ told[:, :-1], B.T @ x + Y.T @ told[:, -1]
+    G, Q = np.linalg.eigh(0.5 * (G + G.T))  # shares of noise in the information of the lines alone
+    lines, here, noise = Q.T @ lines, Q.T @ (B.T @ x), Q.T @ noise
+    B, share = B @ Q, Q.T * share @ Q
+    # H - K V^-1 K = B lost B', and K V^-1 times the score is that and B scores: where all is noise, and where it is not
+    lost, scores, left, k = np.diag(1.0 / G), -lines / G, noise - here, np.flatnonzero(G < 1.0)
+    V = added.scattering * np.eye(len(k)) + NOISE_SIGMA**2 * np.outer(noise[k], noise[k])
+    by = V @ np.linalg.inv(np.eye(len(k)) + G[k, None] * (V - np.eye(len(k))))
+    lost[np.ix_(k, k)] = V + np.eye(len(k)) - (by * G[k]) @ V
+    scores[k] = left[k] - by @ (lines[k] + G[k] * left[k])
+    more = np.linalg.solve(np.eye(len(G)) - lost @ share, lost)
+    more, PB = 0.5 * (more + more.T), P @ B  # the covariance is larger by P B more B' P
+    rest = P @ added.gradient - PB @ noise
+    shift = rest + PB @ (more @ here + scores + more @ (share @ scores))
+    doubt, other = np.zeros(len(G)), (noise + B.T @ shift)[k]  # gradient and slopes that another power would add
+    doubt[k] = other - by @ (G[k] * other)
+    doubt = rest + PB @ (doubt + more @ (share @ doubt))
+    values, R = np.linalg.eigh(more)
+    root = PB @ R * np.sqrt(np.maximum(values, 0.0))
+    most = values * np.einsum("ij,ij->j", R, share @ R) > NOISELESS
+    return NoiseCorrection(shift, NOISE_SIGMA * doubt, root, root[:, most])
+
+
+def _root_less(by: FloatArray) -> FloatArray:
+    """Symmetric root of one less ``by by'``, which is at most one, (k, k)."""
+    taken, V = np.linalg.eigh(by.T @ by)
+    V, taken = V[:, some := taken > ROUNDING], taken[some]
+    by = by @ V / np.sqrt(taken)
+    return np.asarray(np.eye(len(by)) + by * (np.sqrt(np.maximum(1.0 - taken, 0.0)) - 1.0) @ by.T, np.float64)
+
+
+def root_of(covariance: FloatArray, added: NoiseAdded, sigma: FloatArray) -> NoiseCorrection:
+    """To the root of the estimating equation without noise, with the prior: there the blocks' gradients sum to its own.
 
     Args:
         covariance: of all p parameters, (p, p).
         added: what noise has added.
         sigma: stated, of each, (p,); NaN where nothing is.
     """
-    diagonal = added.information.diagonal()
-    at = np.flatnonzero(diagonal * covariance.diagonal()[: len(diagonal)] > NOISELESS)
-    values, V = np.linalg.eigh(added.information[np.ix_(at, at)])
-    B = V * np.sqrt(np.maximum(values, 0.0))
-    across = covariance[:, at] @ B
-    share, U = np.linalg.eigh(B.T @ across[at])
-    known = (share := np.maximum(share, 0.0)) < MOST_NOISE
-    along, gain = across @ U, 1.0 / (1.0 - np.minimum(share, MOST_NOISE))
+    B, share = _directions(covariance, added)
+    along = covariance @ B / np.sqrt(share)
+    gain = 1.0 / (1.0 - np.minimum(share, MOST_NOISE))
     stated = np.nansum((along / sigma[:, None]) ** 2, axis=0)  # information along each direction before the flight
-    more = np.where(known, gain * (2.0 + gain * share), 1.0 / np.maximum(stated, 1e-12))
+    scattered = (1.0 + (added.scattering - 1.0) * share) * gain**2 - 1.0
+    root = along * np.sqrt(np.where(share < MOST_NOISE, scattered, 1.0 / np.maximum(stated, 1e-12)))
+    moved = gain * share * (along.T @ added.gradient)
+    shift = covariance @ added.gradient + along @ moved
+    doubt = shift + along @ (moved * (1.0 + gain * share))
+    return NoiseCorrection(shift, NOISE_SIGMA * doubt, root, root)
 
-    def without(x: FloatArray) -> FloatArray:
-        return np.asarray(x + along @ (gain * (U.T @ (B.T @ x[at]))), np.float64)
 
-    shift = without(covariance @ added.gradient)
-    return NoiseCorrection(shift, NOISE_SIGMA * without(shift), along * np.sqrt(more))
+def _directions(P: FloatArray, added: NoiseAdded) -> tuple[FloatArray, FloatArray]:
+    """B, (p, r), of which ``B B'`` is the information of noise, and ``B' P B``, (r,): its shares in all there is."""
+    diagonal = added.information.diagonal()
+    counts = (diagonal > NOISELESS * added.of_lines) | (diagonal * P.diagonal()[: len(diagonal)] > NOISELESS)
+    at = np.flatnonzero(counts & (diagonal > 0.0))
+    values, V = np.linalg.eigh(added.information[np.ix_(at, at)])
+    V = V * np.sqrt(np.maximum(values, 0.0))
+    share, U = np.linalg.eigh(V.T @ P[np.ix_(at, at)] @ V)
+    B = np.zeros((len(P), int((own := share > _LEAST * share.max(initial=0.0)).sum())))
+    B[at] = V @ U[:, own]
+    return B, share[own]
 
 
-def in_turn(sigma: FloatArray, at_a_time: int, begin: int) -> FloatArray:
-    """Errors of one joint's rate or acceleration at each tick, the next one's after a batch, (n, 2, joints).
+def at_once(sigma: FloatArray, first: int) -> FloatArray:
+    """Errors of all joints' rates and accelerations, one sigma each, (n, 2, joints), whose products sum to nothing.
 
-    They are so large that their squares, summed over all turns, are those of all errors together, and change their sign
-    in the middle of a batch: noise of a rate is the change of an angle's, and its sum is next to nothing.
+    Their signs are Walsh functions (Walsh 1923) of the tick, which change within every two ticks: noise of a rate is
+    the change of an angle's, and its sum is next to nothing.
 
     Args:
         sigma: (n, 2, joints).
-        at_a_time: ticks of a batch.
-        begin: the number of the first turn.
+        first: number of the first tick.
     """
-    n, turns = len(sigma), sigma[0].size
-    at, turn = np.arange(n), (begin + np.arange(n) // at_a_time) % turns
-    errors = np.zeros((n, turns))
-    size = np.where(2 * (at % at_a_time) < at_a_time, math.sqrt(turns), -math.sqrt(turns))
-    errors[at, turn] = size * sigma.reshape(n, turns)[at, turn]
-    return errors.reshape(sigma.shape)
+    tick, every = first + np.arange(len(sigma))[:, None], np.arange(sigma[0].size)
+    signs = np.where(np.bitwise_count(tick & (2 * every + 1)) % 2, -1.0, 1.0)
+    return np.asarray(signs.reshape(sigma.shape) * sigma, np.float64)
 
 
 class JointNoise:
@@ -154,22 +244,28 @@ class JointNoise:
         parts = vehicle.tree.compiled, joint_errors.beyond_links, frames, moves
         self._compiled, self._cuts = structures.NoiseStruct(len(imus), len(cells), self._lines, *parts), list(cells)
 
-    def of(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
-        """One sigma of it, (n, m), for each of some sigmas of the joints.
+    def by_joint(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
+        """What one sigma of each joint's rate and acceleration does, (n, 2 joints, m), for each of some sigmas.
 
         Args:
             q: joint positions, (n, joints).
             chi: standard parameters of all links.
             joint_sigma: of joint rates and accelerations, (n, 2, joints) each.
         """
+        n, joints = len(q), self._joints
         if not any(one.any() for one in joint_sigma):
-            return [np.zeros((len(q), self._lines)) for _ in joint_sigma]
-        n, count, joints = len(q), len(joint_sigma), self._joints
-        sigma = [library.given(one, n, 2, joints) for one in joint_sigma]
-        given = library.given(q, n, joints), library.given(chi, 10 * self._links), np.stack(sigma)
+            return [np.zeros((n, 2 * joints, self._lines)) for _ in joint_sigma]
+        at = library.given(q, n, joints)[::BATCH_TICKS].copy()
         cuts = library.pointers([cut.compiled for cut in self._cuts])
         errors = library.pointers([cut.errors.compiled for cut in self._cuts])
-        numbers, pointers = (n, BATCH_TICKS, count), (library.address(part) for part in given)
-        arguments = cuts, errors, *numbers, *pointers
-        out = np.empty((count, n, self._lines))
-        return list(library.call("heft_joint_noise", ctypes.byref(self._compiled), *arguments, out=out))
+        given = at, library.given(chi, 10 * self._links)
+        arguments = cuts, errors, len(at), *(library.address(part) for part in given)
+        out = np.empty((len(at), joints, 2, self._lines))
+        library.call("heft_joint_noise", ctypes.byref(self._compiled), *arguments, out=out)
+        effects = out.reshape(len(at), 2 * joints, -1).repeat(BATCH_TICKS, axis=0)[:n]
+        sigmas = (library.given(one, n, 2, joints).swapaxes(1, 2).reshape(n, -1, 1) for one in joint_sigma)
+        return [effects * sigma for sigma in sigmas]
+
+    def of(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
+        """One sigma of it, (n, m), for each of some sigmas of the joints: as :meth:`by_joint`, all joints together."""
+        return [sigma_of(one) for one in self.by_joint(q, chi, *joint_sigma)]

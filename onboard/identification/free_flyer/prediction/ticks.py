@@ -8,6 +8,7 @@ import numpy as np
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import SINGULAR, FloatArray, IndexArray
 from onboard.estimation.gates import GateReason, ReasonArray
+from onboard.estimation.smoothing import alike_in_products
 from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
@@ -62,6 +63,7 @@ class Ticks(NamedTuple):
     sample_sigma: FloatArray  # (n, 2, joints) of dq and ddq, each tick by itself: what noise of samples makes of it
     cyclic: FloatArray  # (n, 3, m) functions that the joints' cyclic errors are multiples of, and two derivatives
     thrust: FloatArray  # (n, k) of the thrusters, N, means
+    alike: FloatArray  # (n,) number of ticks in which the joints' noise is one value, as it counts in a product of two
 
     def part(self, which: slice | IndexArray) -> "Ticks":
         """A part of the ticks."""
@@ -88,8 +90,9 @@ class Ticks(NamedTuple):
     def none(joints: int, lines: int = 6, thrusters: int = 0) -> "Ticks":
         """No ticks of so many joints, lines of instruments and thrusters."""
         angles, shown, thrust = np.zeros((0, joints)), np.zeros((0, lines)), np.zeros((0, thrusters))
-        noise = np.zeros((0, 2, joints))
-        return Ticks(np.zeros(0), angles, angles, angles, shown, shown, noise, noise, np.zeros((0, 3, 0)), thrust)
+        noise, of_each = np.zeros((0, 2, joints)), np.zeros(0)
+        parts = of_each, angles, angles, angles, shown, shown, noise, noise, np.zeros((0, 3, 0)), thrust, of_each
+        return Ticks(*parts)
 
     def flight(self, period_s: float, samples: int, imu: slice = slice(6)) -> FlightSignals:
         """As one flight, every tick with the median noise.
@@ -127,9 +130,10 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
         measured: (n, m) rate and specific force, then further instruments, NaN where refused.
     """
     n, joints_count = signals.q.shape
-    joint_sigma = sample_sigma = np.zeros((n, 2, joints_count))
+    joint_sigma, alike = (sample_sigma := np.zeros((n, 2, joints_count))), np.ones(n)
     if (noise := signals.noise) is not None:
         joint_sigma = np.stack([noise.inflation * noise.dq, noise.ddq], axis=1)
+        alike *= alike_in_products(noise.inflation)
         if noise.of_samples is not None:
             share = noise.of_samples.share[:, joints_count : 3 * joints_count].reshape(n, 2, joints_count)
             own = noise_of_joints(np.stack([noise.q, noise.dq, noise.ddq]), signals.dq, signals.ddq)
@@ -137,4 +141,4 @@ def ticks_of(signals: Signals, measured: FloatArray) -> Ticks:
     cyclic = np.zeros((len(signals.time_s), 3, 0)) if signals.cyclic is None else signals.cyclic
     thrust = np.zeros((len(signals.time_s), 0)) if signals.thrust is None else signals.thrust
     joints = signals.q, signals.dq, signals.ddq
-    return Ticks(signals.time_s, *joints, measured, signals.sigma, joint_sigma, sample_sigma, cyclic, thrust)
+    return Ticks(signals.time_s, *joints, measured, signals.sigma, joint_sigma, sample_sigma, cyclic, thrust, alike)

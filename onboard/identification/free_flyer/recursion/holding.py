@@ -4,10 +4,12 @@ import numpy as np
 
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection, correction_of
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
-from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.prediction.ticks import TickPrediction, Ticks
 from onboard.identification.free_flyer.recursion.bounded_work import BoundedWork
 
 
@@ -33,11 +35,9 @@ class Holding(BoundedWork):
         self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
         self.held: bool | None = None
         self.noise_added = self._noise_before = NoiseAdded.none(len(predictor.names))
-        self._noise_rate = np.zeros(
-            len(predictor.names)
-        )  # its gradient in a batch, mean of about as many as take turns
-        self._correction: tuple[FloatArray, NoiseAdded, NoiseCorrection] | None = None  # by covariance and noise
-        self._corrected: tuple[FloatArray, NoiseCorrection, FloatArray] | None = None  # by state and correction
+        # by state, covariance and noise
+        self._correction: tuple[FloatArray, FloatArray, NoiseAdded, NoiseCorrection] | None = None
+        self._known: tuple[NoiseCorrection, Known] | None = None  # by correction
 
     @property
     def holds(self) -> bool:
@@ -48,31 +48,44 @@ class Holding(BoundedWork):
         """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
         if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
             return None
-        covariance = self.covariance[PAYLOAD, PAYLOAD] + self.correction.part(PAYLOAD).covariance
-        return body_estimate(self.corrected(self.state)[PAYLOAD], covariance)
+        (mean, covariance), doubt = self.known, self.correction.sigma[PAYLOAD]
+        return body_estimate(mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] + np.outer(doubt, doubt))
 
-    def corrected(self, state: FloatArray) -> FloatArray:
-        """The filter's state, (p,), without what noise of the joints has done to it; the same array for the same."""
-        if not self.noise_added.gradient.any():
-            return state
-        of, by = self._corrected, self.correction
-        if of is None or of[0] is not state or of[1] is not by:
-            of = self._corrected = state, by, state + by.shift
-        return of[2]
+    @property
+    def known(self) -> Known:
+        """Mean, (p,), and covariance, (p, p), without what noise of the joints has done; the same for the same."""
+        assert self.state is not None
+        if not (self.noise_added.information.size or self.noise_added.gradient.any()):
+            return self.state, self.covariance
+        of, by = self._known, self.correction
+        if of is None or of[0] is not by:
+            of = self._known = by, (self.state + by.shift, self.covariance + by.root @ by.root.T)
+        return of[1]
 
-    def _noise_of(self, ticks: Ticks, noise: FloatArray, sigma: FloatArray, use: BoolArray) -> None:
-        """Take in what noise of the joints adds to the gradient of a batch, of lines in use, (b, m)."""
+    def _noise_of(
+        self, ticks: Ticks, noise: FloatArray, lines: LineNoise, use: BoolArray, at: tuple[FloatArray, TickPrediction]
+    ) -> NoiseAdded:
+        """Take in what noise of the joints adds in a batch, of lines in use, (b, m), predicted at a state; that."""
         if self.state is not None and ticks.sample_sigma.any():
-            turn = round(float(ticks.time_s[0]) / (BATCH_TICKS * self.predictor.period_s))
-            added = noise_added(self.predictor, ticks, sigma, use, self.state, turn, noise)
-            self.noise_added = self.noise_added.plus(added)
-            self._noise_rate = self._noise_rate + (added.gradient - self._noise_rate) / ticks.sample_sigma[0].size
+            first = round(float(ticks.time_s[0]) / self.predictor.period_s)
+            added = noise_added(self.predictor, ticks, lines, use, self.state, first, noise, at=at)
+            self.noise_added = self.noise_added.plus(added.moved(-self.predictor.lasting * self.state))
+            return added
+        return NoiseAdded.none(len(self.predictor.names))
 
     @property
     def correction(self) -> NoiseCorrection:
         """Of the state, for noise of the joints."""
+        assert self.state is not None
         of = self._correction
-        if of is None or of[0] is not self.covariance or of[1] is not self.noise_added:
-            made = correction_of(self.covariance, self.noise_added, self.predictor.stated)
-            of = self._correction = self.covariance, self.noise_added, made
-        return of[2]
+        if of is None or of[0] is not self.state or of[1] is not self.covariance or of[2] is not self.noise_added:
+            raw = self.state, self.covariance
+            here = self.noise_added.moved(self.predictor.lasting * self.state)
+            made = correction_of(raw, here, self.predictor.constant, self._released)
+            of = self._correction = *raw, self.noise_added, made
+        return of[3]
+
+    @property
+    def _released(self) -> FloatArray | None:
+        """Root of the information that is stated and not taken for granted, (p, r)."""
+        return None

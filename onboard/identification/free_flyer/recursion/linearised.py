@@ -78,12 +78,13 @@ class Linearised:
         change[PAYLOAD] += np.outer(farther, self._place)
         return np.asarray(change @ covariance @ change.T, np.float64)
 
-    def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, TickPrediction]:
+    def predict(self, ticks: Ticks, state: FloatArray) -> tuple[FloatArray, TickPrediction, FloatArray]:
         """Of a batch, from a state at the first of its b + 2 ticks, (p,).
 
         Returns:
-            The state about which it is linearised, (p,): these constants, and what changes as it is now. And the
-            prediction: its values are those of ``state`` to first order, what it carries is that of the former.
+            The state about which it is linearised, (p,): these constants, and what changes as it is now. The
+            prediction: its values are those of ``state`` to first order, what it carries is that of the former. And the
+            values there, (b, lines).
         """
         if self._about is not None:
             about, changing = self._about.copy(), self._predictor.changing
@@ -93,15 +94,16 @@ class Linearised:
                 moved = found.jacobian @ (state - about)  # (b, lines)
                 far = _rms(moved, ticks)
                 if far <= _MOVED or self._bent * far**2 <= _LINEAR:
-                    return about, found._replace(values=found.values + moved)
+                    return about, found._replace(values=found.values + moved), found.values
                 anew = self._of(ticks, state)
                 bent = _rms(anew.values - found.values - moved, ticks)
                 if bent <= _BENT:
                     self._bent = bent / far**2
-                    return about, found._replace(values=anew.values)
+                    return about, found._replace(values=anew.values), found.values
             self.apart = True
         self._about, self._bent = state.copy(), np.inf
-        return state, self._of(ticks, state)
+        found = self._of(ticks, state)
+        return state, found, found.values
 
     def _of(self, ticks: Ticks, state: FloatArray) -> TickPrediction:
         return self._predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)

@@ -24,6 +24,7 @@ from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray, IndexArra
 from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.corrections import LEAST_TOLD
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, PIECE, RATE, ImuPredictor
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 
@@ -47,6 +48,7 @@ class Pieces:
     Attributes:
         normal: of what has been predicted, by the unknowns at the first tick and the sizes of steps.
         residual: whitened, predicted less measured, (n, lines); zero for lines that are not used.
+        log_sigma: sum of the logarithms of the sigmas of the others, of each given those before it.
         state: (p,) at the last tick predicted.
         steps: that may be inside.
         transition: (p, a + r) derivative of that by the unknowns at the first tick and the sizes of steps.
@@ -67,7 +69,7 @@ class Pieces:
         self.state, self._active = state, active
         self.transition = np.pad(np.eye(len(state))[:, active], ((0, 0), (0, r)))
         self.normal = Normal(np.zeros((a + r, a + r)), np.zeros(a + r), 0.0)
-        self.residual, self.steps = np.zeros((ticks, lines)), steps
+        self.residual, self.steps, self.log_sigma = np.zeros((ticks, lines)), steps, 0.0
         self._taken, self._sizes = taken, sizes
         parts, kinds = steps.times + steps.begins, steps.of_instruments + _FIRST
         each = (kinds, kinds), (kinds,), (kinds, a + r)
@@ -86,13 +88,13 @@ class Pieces:
         """All ticks are predicted."""
         return not self._left
 
-    def advance(self, predictor: ImuPredictor, ticks: Ticks, sigma: FloatArray, use: BoolArray) -> int:
+    def advance(self, predictor: ImuPredictor, ticks: Ticks, noise: LineNoise, use: BoolArray) -> int:
         """Predict the next piece; how many ticks that were.
 
         Args:
             predictor: of the instruments.
             ticks: the window, (n + 2,).
-            sigma: of what was measured, (n + 2, lines).
+            noise: of what was measured, of n + 2 ticks.
             use: which lines count, (n, lines).
         """
         first = self._done
@@ -109,10 +111,11 @@ class Pieces:
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
         predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)
         used = use[first : self._done]
-        weight = np.divide(1.0, sigma[inner], out=np.zeros(used.shape), where=used)
-        residual = np.where(used, predicted.values - ticks.measured[inner], 0.0) * weight
+        whiten = noise.part(inner).whitening(used)
+        self.log_sigma -= float(np.log(np.einsum("nmm->nm", whiten)[used]).sum())
+        residual = (whiten @ np.where(used, predicted.values - ticks.measured[inner], 0.0)[:, :, None])[:, :, 0]
         gyro = predicted.jacobian[:, :3].copy() if self.steps.times else _NO_SIZES
-        jacobian = np.multiply(predicted.jacobian, weight[..., None], out=predicted.jacobian)  # megabytes: not copied
+        jacobian = whiten @ predicted.jacobian
         piece = Normal.of(residual.ravel(), jacobian.reshape(residual.size, -1))
         changing, stays = predictor.changing, np.ones(len(self.state), np.bool_)
         stays[changing] = False
@@ -232,7 +235,7 @@ class Problem(NamedTuple):
 
 
 def evidence_of(
-    whole: Pieces, used: IndexArray, sigma: FloatArray, apart: float, informations: tuple[FloatArray, FloatArray]
+    whole: Pieces, used: IndexArray, left_out: FloatArray, apart: float, informations: tuple[FloatArray, FloatArray]
 ) -> float:
     """Laplace's evidence of a solution, with the noise of each line scaled to its residuals.
 
@@ -242,7 +245,7 @@ def evidence_of(
     Args:
         whole: the prediction.
         used: readings of each line, (lines,).
-        sigma: of each reading.
+        left_out: sigma of each reading that is not used.
         apart: squares of what is left out and of the deviations from the prior.
         informations: on what is active, by the prior and with the ticks, (a, a) each.
     """
@@ -250,5 +253,5 @@ def evidence_of(
     proper, squares = stated.copy(), whole.squares.sum(axis=0)
     proper[RATE, RATE] += np.eye(3)  # of the rate nothing is known
     mean = np.divide(squares, used, out=np.ones(len(used)), where=squares > 0.0)
-    left = used @ (1.0 + np.log(mean)) + 2.0 * np.log(sigma).sum() + apart
+    left = used @ (1.0 + np.log(mean)) + 2.0 * (whole.log_sigma + np.log(left_out).sum()) + apart
     return 0.5 * float(np.linalg.slogdet(proper)[1] - np.linalg.slogdet(informed)[1] - left)

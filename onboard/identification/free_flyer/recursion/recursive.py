@@ -27,6 +27,8 @@ from onboard.identification.change import Change
 from onboard.identification.free_flyer.fusion import Accusation
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise, sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
 from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s
@@ -209,13 +211,15 @@ class MotionFilter(Windowed):
     def _step(self) -> None:
         assert self.state is not None
         ticks, self._due, self._window = self._pending, self._due - self._step_work, self._none
-        step = self.rivals.step(self.corrected(self.state), self.covariance) if self.held else None
+        step, correction = self.rivals.step(*self.known) if self.held else None, self.correction
         with np.errstate(over="ignore", invalid="ignore"):
-            about, predicted = self._linearised.predict(ticks, self.state)
-            noise, of_samples = self._joint_noises(ticks)
+            about, predicted, values = self._linearised.predict(ticks, self.state)
+            of_joints, of_samples = self._joint_noises(ticks)
         self.covariance = self._linearised.known(self.covariance)
-        batch = TickBatch(predicted, ticks.measured[1:-1], np.hypot(ticks.sigma, noise)[1:-1], ticks.time_s[1:-1])
+        noise = LineNoise.of(ticks.sigma, of_joints).part(slice(1, -1))
+        batch = TickBatch(predicted, ticks.measured[1:-1], noise, ticks.time_s[1:-1], correction)
         state, covariance, suspect, used = self.state, self.covariance, False, 0
+        added = NoiseAdded.none(len(state))
         there = self.fusion.whole(batch.measured)
         try:
             innovation = self.innovations.of_batch(batch, there, covariance)
@@ -224,9 +228,9 @@ class MotionFilter(Windowed):
             self._reopen((HeldPayload.SAME if self.held else HeldPayload.NOTHING,), 1)
             return
         own = self.predictor.lines[self.fusion.reference]
-        base = np.flatnonzero(there[:, own.start])  # ticks with the reference
+        base, judged = np.flatnonzero(there[:, own.start]), innovation.judged(step)  # ticks with the reference
         if base.size:
-            verdict = self._detector.check((innovation.judged(step).of_reference[base] ** 2).sum(axis=1))
+            verdict = self._detector.check((judged.of_reference[base] ** 2).sum(axis=1))
             if verdict.alarm:
                 self._alarm(verdict.score, verdict.batches)
                 return
@@ -235,34 +239,41 @@ class MotionFilter(Windowed):
                 self.glitches += int(verdict.glitches.sum())
                 there[base[verdict.glitches], own] = False
                 innovation = self.innovations.of(batch, there, self.fusion.order, covariance)
-            judged = self.innovations.judge(innovation.judged(step), there, self.misfit)
-            self.lines.add(judged, there[:, own.start])
+                judged = innovation.judged(step)
+            self.lines.add(self.innovations.judge(judged, there, self.misfit), there[:, own.start])
         if not suspect:
-            innovation, used = self.innovations.agreeing(batch, there, covariance, innovation, self.misfit, step)
+            both = innovation, judged
+            innovation, used = self.innovations.agreeing(batch, there, covariance, both, self.misfit, step)
             state, covariance = innovation.corrected(used, state, covariance)
             self.ticks_used += int(there[:, own.start].sum())
             seen = np.isfinite(self.fusion.without(self.fusion.left_out, batch.measured))
-            self._noise_of(ticks, of_samples, batch.sigma, there & seen)
+            at = about, predicted._replace(values=values)
+            added = self._noise_of(ticks, sigma_of(of_samples), noise, there & seen, at)
         # symmetric, else what rounding leaves of P - P' grows until S is not positive definite
         self.state, self.covariance = self.predictor.carried(predicted, about, state, covariance, ticks.joint_sigma)
         # of an arm at rest, accelerations are noise of its encoders, and would show a lighter payload or a cell's zero
-        told, added = innovation.first(0 if ticks.rest else used), (self.noise_added.gradient, self._noise_rate)
-        self.rivals.steps.step(told, predicted.transition, self.state, added if added[0].any() else None)
+        told = innovation.first(0 if ticks.rest else used)
+        self.rivals.steps.step(told, predicted.transition, self.state, added)
         self._pending = ticks.part(slice(BATCH_TICKS, None))
-        if self._stepped is not None:
-            self._prior, begun = self._stepped.add(ticks, self.predictor, self._prior)
-            if begun is not None:
-                self._open((HeldPayload.NOTHING,), self._prior, begun)
-                return
-            if self._stepped.due(apart=self._linearised.apart):
-                self._asked = self._stepped.asked if self._earlier is None else self._earlier.asked
-                return
-            self._stepped = None if self._stepped.over else self._stepped
-        adds = self.rivals.adds(self.corrected(self.state), self.covariance) if self.held else None
+        if self._stepped is not None and self._solved_anew(self._stepped, ticks):
+            return
+        adds = self.rivals.adds(*self.known) if self.held else None
         self.snapshots.append(self.state, self.covariance, self.noise_added, adds)
         self.snapshots.moves(None if ticks.rest else ticks)
         if not suspect:
             self._compare()
+
+    def _solved_anew(self, stepped: SteppedTicks, ticks: Ticks) -> bool:
+        """Whether ticks since a window, a batch more, are a window, or one is asked for."""
+        self._prior, begun = stepped.add(ticks, self.predictor, self._prior)
+        if begun is not None:
+            self._open((HeldPayload.NOTHING,), self._prior, begun)
+            return True
+        if stepped.due(apart=self._linearised.apart):
+            self._asked = stepped.asked if self._earlier is None else self._earlier.asked
+            return True
+        self._stepped = None if stepped.over else stepped
+        return False
 
     def _joint_noises(self, ticks: Ticks) -> list[FloatArray]:
         """Of all there is, and of samples alone."""
@@ -273,14 +284,13 @@ class MotionFilter(Windowed):
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         assert self.state is not None
-        if self.held and (back := self.rivals.altered(self.corrected(self.state), self.covariance)) is not None:
+        if self.held and (back := self.rivals.altered(*self.known)) is not None:
             self._begin_altered(back)
             return
-        known = self.corrected(self.state), self.covariance
-        if (free := self.rivals.freeing(*known, held=bool(self.held))) is not None:
+        if (free := self.rivals.freeing(*self.known, held=bool(self.held))) is not None:
             self._free(free)
             return
-        accused = self.fusion.standing(self.innovations.contradicting(self.corrected(self.state), self.covariance))
+        accused = self.fusion.standing(self.innovations.contradicting(*self.known))
         if accused is not None:
             self._before = bool(self.held)
             kept = HeldPayload.SAME if accused.batches else HeldPayload.NEW

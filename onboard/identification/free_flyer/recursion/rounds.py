@@ -104,8 +104,7 @@ class WindowRounds:
             return
         exchanged = _exchanged(first)
         for payload in (True, False) if exchanged else (True,):
-            known = (asked.corrected, asked.covariance), asked.steps
-            self._rivals.corrected(asked.corrected, asked.state)
+            known = asked.known, asked.steps
             freed, stepped, self._odds = self._rivals.wrong(*known, changed=exchanged, payload=payload)
             if stepped or (freed and asked.tells_mass):  # else too much fits, and what is free tells even less
                 wrong = WindowProblem((asked.hypothesis,), free=freed, stepped=stepped, start=self._start)
@@ -158,7 +157,7 @@ class WindowRounds:
             unexplained = self._stated is None  # as stated
             nats = -np.log(EXPLAINED) if self._stated is None else found.evidence - self._stated.evidence
             if self.wrong or not self.altered:  # else nothing becomes free
-                self._rivals.solved((found.corrected, found.covariance), float(nats), at_least=unexplained)
+                self._rivals.solved(found.known, float(nats), at_least=unexplained)
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
         self._tried = []

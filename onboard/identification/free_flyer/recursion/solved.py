@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import HALF, LEAST_WEIGHT, REFUSE, of_each, sigmas
 from onboard.identification.evidence.bank import Changed
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 
@@ -41,7 +42,7 @@ class Solved(NamedTuple):
     kept: FloatArray  # (p, p) covariance with which a filter goes on
     steps: Changed  # inside it
     noise_added: NoiseAdded  # by the joints' samples
-    corrected: FloatArray  # (p,) the state without what noise adds
+    known: Known  # state and its covariance without what noise adds
     evidence: float  # logarithm of the density of the readings, but for what is common to all hypotheses on the window
 
     @property

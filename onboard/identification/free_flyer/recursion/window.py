@@ -25,6 +25,7 @@ from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
@@ -71,6 +72,7 @@ class WindowSolve:
         steps: that may be inside.
         taken: steps that are, r of them.
         noise: of the joints, what it has added to the prior.
+        released: root of the stated information that the prior does not have, (p, r).
     """
 
     def __init__(
@@ -85,13 +87,14 @@ class WindowSolve:
         steps: Inside = NO_STEPS,
         taken: StepsTaken = NONE_TAKEN,
         noise: NoiseAdded | None = None,
+        released: FloatArray | None = None,
     ) -> None:
         self._predictor, self.payload_sigma = predictor, payload_sigma
         self._noise = NoiseAdded.none(len(predictor.names)) if noise is None else noise
-        self._steps, self._taken = steps, taken
+        self._steps, self._taken, self._released = steps, taken, released
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self.prior, self._given = ticks, prior, start
-        self._sigma = ticks.sigma
+        self._lines = LineNoise.alone(ticks.sigma)
         self.over = False
         self.found: Solved | None = None
         self.nearest: Solved | None = None
@@ -108,7 +111,7 @@ class WindowSolve:
         """Predicts a piece of the window, and goes on from there; how many ticks were predicted."""
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             assert self._pieces is not None
-            ticks = self._pieces.advance(self._predictor, self._ticks, self._sigma, self._use)
+            ticks = self._pieces.advance(self._predictor, self._ticks, self._lines, self._use)
             if self._pieces.over:
                 self._predicted(self._pieces)
         return ticks
@@ -225,8 +228,8 @@ class WindowSolve:
     ) -> None:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]
-        noise = self._predictor.joint_noise(self._ticks.q, self._ticks.joint_sigma, self._parted(start)[0])
-        self._sigma = np.hypot(self._ticks.sigma, noise)
+        (noise,) = self._predictor.joint_noises(self._ticks.q, self._parted(start)[0], self._ticks.joint_sigma)
+        self._lines = LineNoise.of(self._ticks.sigma, noise)
         beyond = 0 if stage is _Stage.GUESS else BEYOND  # far from a minimum a step that leads up leads nowhere
         self._descent = Descent(
             start[active], self._problem.mean[active], prior, iterations, tolerance, damping, beyond
@@ -336,17 +339,21 @@ class WindowSolve:
         # where the iteration stops short of a minimum, its covariance is wider than that of these derivatives
         moves, of_each = np.linalg.solve(informed, across.T), self._steps._replace(times=1).changed(len(start))
         uphill = whole.normal.gradient + stated @ (self._at - self._problem.mean[active])
-        before = self._noise if self._hypothesis is HeldPayload.SAME else self._noise.but_for(PAYLOAD)
-        some, by_tick = (self._predictor, self._ticks, self._sigma[1:-1], use, start), np.zeros((len(use), len(start)))
-        noise, d = noise_added(*some, by_tick=by_tick).plus(before), uphill @ moves - along
-        if noise.gradient.any():
-            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(noise.gradient)
+        before, lasting = self._noise, self._predictor.lasting
+        if self._hypothesis is not HeldPayload.SAME:
+            before = before.but_for(PAYLOAD, self.prior[0])
+        some, by_tick = (self._predictor, self._ticks, self._lines.part(slice(1, -1))), np.zeros((len(use), len(start)))
+        noise = noise_added(*some, use, start, by_tick=by_tick).moved(-lasting * start).plus(before)
+        here, d = noise.moved(lasting * start), uphill @ moves - along
+        if here.gradient.any():
+            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(here.gradient)
         steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
-        there = self._sigma[1:-1][np.isfinite(self._ticks.measured[1:-1])]
-        evidence = evidence_of(whole, use.sum(axis=0), there, cost - squares, (stated, informed))
-        corrected = end + correction_of(covariance, noise, self._predictor.stated).shift
-        return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, corrected, evidence)
+        left_out = self._lines.sigma[1:-1][np.isfinite(self._ticks.measured[1:-1]) & ~use]
+        evidence = evidence_of(whole, use.sum(axis=0), left_out, cost - squares, (stated, informed))
+        by = correction_of((end, covariance), noise.moved(lasting * end), self._predictor.constant, self._released)
+        known = end + by.shift, covariance + by.root @ by.root.T
+        return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, known, evidence)
 
     def _of_active(self, x: FloatArray) -> FloatArray:
         """Of (p,) what belongs to the unknowns, (a + r,), zero for sizes of steps."""

@@ -84,11 +84,17 @@ class Windowed(Holding):
         self.innovations = Innovations(predictor, self.fusion, self.rivals)
         self._open(at_first(held, known is not None), self.initial)
 
-    def corrected(self, state: FloatArray) -> FloatArray:
-        """As of :class:`.Holding`; faults are weighed with and without the correction."""
-        known = super().corrected(state)
-        self.rivals.corrected(known, state)
+    @property
+    def known(self) -> Known:
+        """As of :class:`.Holding`."""
+        assert self.state is not None
+        known = super().known
+        self.rivals.corrected(known[0], (self.state, self.covariance))
         return known
+
+    @property
+    def _released(self) -> FloatArray | None:
+        return self.rivals.released(self.rivals.freed)
 
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         without = [*self.fusion.left_out, *trial.without]
@@ -107,7 +113,9 @@ class Windowed(Holding):
             start = trial.start
         parts = seen, prior, trial.hypotheses, start
         before = None if trial.anew else self._noise_before
-        return WindowSolve(self.predictor, self.payload_sigma, *parts, imu, steps, steps.taken(trial.stepped), before)
+        free = self.rivals.released(() if trial.stated else (*self.rivals.freed, *trial.free))
+        taken = steps.taken(trial.stepped)
+        return WindowSolve(self.predictor, self.payload_sigma, *parts, imu, steps, taken, before, free)
 
     def _open(
         self, hypotheses: tuple[HeldPayload, ...], prior: Known, begun: Ticks | None = None, *, carried: bool = False

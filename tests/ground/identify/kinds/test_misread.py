@@ -43,7 +43,7 @@ def _misread(urdf, t, angles, rate, force):
     n, still = len(signals.q), np.zeros((len(signals.q), 2, 3))
     measured = np.hstack([signals.rate, signals.specific_force])
     grid = signals.period_s * np.arange(n), signals.q, signals.dq, signals.ddq, measured, np.ones((n, 6))
-    ticks = Ticks(*grid, still, still, np.zeros((n, 3, 0)), np.zeros((n, 0)))
+    ticks = Ticks(*grid, still, still, np.zeros((n, 3, 0)), np.zeros((n, 0)), np.ones(n))
     return misread(model, "imu_base", ticks, signals.period_s, _WIDTH_s)
 
 

@@ -39,6 +39,7 @@ def ticks(rng, low, free, moving, bump=None, seconds=40.0):
         *np.zeros((2, n, 2, 1)),
         np.zeros((n, 3, 0)),
         np.zeros((n, 0)),
+        np.ones(n),
     )
 
 

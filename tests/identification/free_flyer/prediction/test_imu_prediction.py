@@ -1,6 +1,6 @@
 """What an IMU should read: derivatives are finite differences, joints' noise what their errors make of it.
 
-Noise of the joints in derivatives: what it adds to a gradient, and an estimate that is corrected for it.
+Noise of the joints in derivatives: what it adds to a gradient.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.free_flyer.prediction.further import CellPrior, DisturbancePrior, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NOISELESS, NoiseAdded, correction_of
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF
@@ -47,6 +47,7 @@ def state(predictor, ticks):
 
 
 SIGMA, USE = np.tile([*[0.05] * 3, *[0.1] * 3, 1.0], (400, 1)), np.ones((400, 7), np.bool_)
+OWN = LineNoise.alone(SIGMA)
 
 
 def test_what_is_added_to_a_gradient_is_half_the_derivative_of_the_variance(predictor, ticks, state):
@@ -55,7 +56,7 @@ def test_what_is_added_to_a_gradient_is_half_the_derivative_of_the_variance(pred
         return 0.5 * float((noise**2).sum())
 
     ticks = ticks._replace(sample_sigma=ticks.sample_sigma * [[0.0], [1.0]])  # products of rates are neglected
-    added = noise_added(predictor, ticks, SIGMA, USE, state).gradient
+    added = noise_added(predictor, ticks, OWN, USE, state).gradient
     bodies = [k for k, name in enumerate(predictor.names) if name.endswith("_payload") or "inertial" in name]
     size = np.where(np.isfinite(predictor.sigma), predictor.sigma, 0.05)[bodies]
     steps = 1e-4 * np.eye(len(state))[bodies]
@@ -80,9 +81,8 @@ def test_what_is_added_to_a_gradient_is_what_noisy_encoders_add(held):
     power = [signal.convolve(there, kernel[0] ** 2, "valid") for kernel in kernels[1:]]
     sample_sigma = np.repeat(np.sqrt(np.maximum(power, 0.0)).T[:, :, None], 5, axis=2)
     cyclic = once_a_turn(*(one[:, 1] for one in motion))
-    noisy = ticks._replace(cyclic=cyclic, sample_sigma=sample_sigma), SIGMA[:, :6], USE[:, :6], state
-    each = [noise_added(predictor, *noisy, turn).gradient for turn in range(10)]  # of each joint everywhere
-    added = np.mean(each, axis=0)
+    noisy = ticks._replace(cyclic=cyclic, sample_sigma=sample_sigma), LineNoise.alone(SIGMA[:, :6]), USE[:, :6], state
+    added = noise_added(predictor, *noisy).gradient
     true, drawn = predictor.predict(*motion, state, cyclic).values, np.zeros(len(state))
     for _ in range(draws := 60):
         white = there[:, None] * rng.standard_normal((n + 80, 5))
@@ -103,48 +103,8 @@ def test_noise_of_less_than_a_thousandth_of_every_line_is_left_out(predictor, ti
     share = ((predictor.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1] / SIGMA) ** 2).max()
     for part, counts in ((0.9e-3, False), (1.5e-3, True)):
         quiet = ticks._replace(sample_sigma=ticks.sample_sigma * np.sqrt(part / share))
-        added = noise_added(predictor, quiet, SIGMA, USE, state)
+        added = noise_added(predictor, quiet, OWN, USE, state)
         assert added.gradient.any() == added.information.any() == counts
-
-
-def test_an_estimate_is_corrected_for_noise_with_doubt_in_its_power():
-    covariance, gradient = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([0.5, -0.2])
-    added = NoiseAdded(gradient, np.diag([0.9 * NOISELESS / 4.0, 0.0]))  # next to nothing in the information
-    correction = correction_of(covariance, added, np.full(2, np.nan))
-    np.testing.assert_allclose(correction.shift, covariance @ gradient)
-    np.testing.assert_allclose(correction.sigma, 0.2 * correction.shift)
-    np.testing.assert_allclose(correction.covariance, 0.04 * np.outer(correction.shift, correction.shift))
-
-
-def test_noise_that_is_a_third_of_the_information_is_taken_out_of_it():
-    """A regression on columns read with noise: answers of many data have the mean and the scatter that are said."""
-    rng, rows, true, noise = np.random.default_rng(3), 200, np.array([2.0, -1.0, 0.5]), [0.6, 0.0, 0.3]
-    columns = rng.standard_normal((rows, 3)) @ [[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, 0.8, 0.6]]
-    R = np.sqrt(1.0 + (true**2 @ np.square(noise)))  # of a row: its reading, and what noise of the columns makes of it
-    plain, corrected = list[np.ndarray](), list[np.ndarray]()
-    for _ in range(400):
-        read = columns + noise * rng.standard_normal(columns.shape)
-        P = np.linalg.inv(read.T @ read / R**2)
-        x = P @ (read.T @ (columns @ true + rng.standard_normal(rows))) / R**2
-        N = rows * np.diag(np.square(noise)) / R**2
-        correction = correction_of(P, NoiseAdded(N @ x, N), np.full(3, np.nan))
-        spread = P + correction.root @ correction.root.T
-        plain.append((x - true) / np.sqrt(np.diag(P)))
-        corrected.append((x + correction.shift - true) / np.sqrt(np.diag(spread)))
-    assert np.abs(np.mean(plain, axis=0)).max() > 3.0
-    assert np.abs(np.mean(corrected, axis=0)).max() < 0.3
-    rms = np.sqrt(np.mean(np.square(corrected), axis=0))
-    assert (rms > 0.85).all()
-    assert (rms < 1.15).all()
-
-
-def test_what_is_nearly_all_noise_is_known_by_what_is_stated():
-    P, sigma = np.diag([1e-4, 1e-4]), np.array([0.5, 3.0])
-    for share, known in ((0.89, True), (0.91, False)):
-        N = np.diag([share / 1e-4, 0.0])
-        spread = P + (root := correction_of(P, NoiseAdded(N @ [1.0, 1.0], N), sigma).root) @ root.T
-        assert np.sqrt(spread[0, 0]) == pytest.approx(0.01 / (1.0 - share) if known else 0.5, rel=1e-3)
-        assert spread[1, 1] == P[1, 1]
 
 
 def test_derivatives_of_the_prediction_are_finite_differences(held):

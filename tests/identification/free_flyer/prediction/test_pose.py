@@ -101,9 +101,8 @@ def test_the_first_pose_is_found_from_nothing(predictor):
     none = predictor.no_ticks
     blank = np.zeros((120, 3, 20))  # functions of the cyclic errors of five joints
     zeros = np.zeros((120, 2, 5))
-    ticks = Ticks(
-        PERIOD_s * np.arange(120), *joints, measured, np.full_like(measured, 5e-4), zeros, zeros, blank, none.thrust
-    )
+    exact = zeros, zeros, blank, none.thrust, np.ones(120)
+    ticks = Ticks(PERIOD_s * np.arange(120), *joints, measured, np.full_like(measured, 5e-4), *exact)
     nothing = x.copy()
     nothing[predictor.moving] = 0.0
     assert first_pose(predictor, ticks, nothing) == pytest.approx(x[predictor.moving], abs=1e-4)

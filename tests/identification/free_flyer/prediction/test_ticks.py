@@ -22,6 +22,7 @@ def test_a_flight_by_the_second_imu_needs_nothing_of_an_instrument_that_is_silen
         *np.zeros((2, n, 2, 2)),
         np.zeros((n, 3, 0)),
         np.zeros((n, 0)),
+        np.ones(n),
     )
     flight = ticks.flight(0.01, 1, slice(6, 12))
     np.testing.assert_array_equal(flight.rate[0], [6, 7, 8])

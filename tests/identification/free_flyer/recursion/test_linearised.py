@@ -69,17 +69,20 @@ def moved(predictor, x, rng, by):
 
 def test_what_no_motion_shows_stays_unknown_while_the_estimate_moves(held, predictor, rng):
     linearised, ticks, x = Linearised(predictor), ticks_of(held).part(slice(300, 312)), some_state(predictor)
-    about, first = linearised.predict(ticks, x)
+    about, first, _ = linearised.predict(ticks, x)
     np.testing.assert_array_equal(about, x)
     scale = all_heavier(predictor, x)
     sigma = ticks.sigma[1:-1]
     assert np.abs(first.jacobian @ scale / sigma).max() < NOTHING
     for _ in range(5):
         there = moved(predictor, x, rng, 1e-2)
-        about, found = linearised.predict(ticks, there)
+        about, found, values = linearised.predict(ticks, there)
         assert about[PAYLOAD][0] != there[PAYLOAD][0]
         np.testing.assert_array_equal(about[predictor.changing], there[predictor.changing])
-        by_itself = predictor.predict(ticks.q, ticks.dq, ticks.ddq, there, ticks.cyclic, ticks.thrust)
+        of_about, by_itself = (
+            predictor.predict(ticks.q, ticks.dq, ticks.ddq, one, ticks.cyclic, ticks.thrust) for one in (about, there)
+        )
+        np.testing.assert_array_equal(values, of_about.values)
         gained, kept = (np.abs(one.jacobian @ scale / sigma).max() for one in (by_itself, found))
         assert kept < NOTHING
         assert gained > 0.1
@@ -98,7 +101,7 @@ def test_a_push_that_changes_tells_nothing_of_all_masses(held, rng):
     for by in (1.0, -1.0):
         there = moved(predictor, x, rng, 1e-3)
         there[pushes] = by * predictor.sigma[pushes]
-        about, found = linearised.predict(ticks, there)
+        about, found, _ = linearised.predict(ticks, there)
         scale = all_heavier(predictor, about)
         by_itself = predictor.predict(ticks.q, ticks.dq, ticks.ddq, there, ticks.cyclic, ticks.thrust)
         assert np.abs(found.jacobian @ scale / sigma).max() < NOTHING
@@ -123,10 +126,11 @@ def test_where_a_prediction_is_not_linear_any_more_steps_are_linearised_anew(hel
     for by, anew in ((0.85, False), (1.2, True)):
         linearised, there = Linearised(predictor), x + by * step
         linearised.predict(ticks, x)
-        about, found = linearised.predict(ticks, there)
+        about, found, values = linearised.predict(ticks, there)
         np.testing.assert_array_equal(about, there if anew else x)
         by_itself = predictor.predict(ticks.q, ticks.dq, ticks.ddq, there, ticks.cyclic, ticks.thrust)
         np.testing.assert_array_equal(found.values, by_itself.values)
+        assert (values == found.values).all() == anew
         near = moved(predictor, there, rng, 1e-3)
         np.testing.assert_array_equal(linearised.predict(ticks, near)[0][PAYLOAD], about[PAYLOAD])
         assert linearised.apart is anew
@@ -148,7 +152,7 @@ def test_what_no_motion_shows_stays_unknown_when_the_payload_is_found_to_be_anot
     """Steps go on about a payload and a base that are found to be 20 to 30 % heavier."""
     ticks, x = ticks_of(held).part(slice(300, 312)), some_state(predictor)
     linearised, sigma = Linearised(predictor), np.where(np.isnan(predictor.sigma), 10.0, predictor.sigma)
-    _, found = linearised.predict(ticks, x)
+    _, found, _ = linearised.predict(ticks, x)
     prior = linearised.known(np.diag(sigma**2))
     H = found.jacobian.reshape(-1, len(x)) / ticks.sigma[1:-1].reshape(-1, 1)
     gain = np.linalg.solve(H @ prior @ H.T + np.eye(len(H)), H @ prior)

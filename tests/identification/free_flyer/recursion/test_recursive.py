@@ -9,9 +9,10 @@ from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.identification.free_flyer.free_base import free_fit
-from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
+from onboard.identification.free_flyer.recursion import holding
 from onboard.identification.free_flyer.recursion.solved import HeldPayload
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
@@ -232,18 +233,42 @@ def test_what_was_caught_at_rest_has_been_in_all_of_the_motion_since(monkeypatch
 
 def test_a_state_is_corrected_once_for_what_noise_of_the_joints_has_added(held):
     ekf = online(held)
-    state = np.arange(len(ekf.covariance), dtype=float)
+    ekf.state = state = np.arange(len(ekf.covariance), dtype=float)
     ekf.covariance = np.diag(1.0 + state)
-    assert ekf.corrected(state) is state
+    assert ekf.known[0] is state
+    assert ekf.known[1] is ekf.covariance
     gradient, nothing = np.where(state == PAYLOAD.start, 2.0, 0.0), np.zeros((len(state), len(state)))
     ekf.noise_added = NoiseAdded(gradient, nothing)
-    corrected = ekf.corrected(state)
-    np.testing.assert_array_equal(corrected - state, ekf.covariance @ gradient)
-    assert ekf.corrected(state) is corrected  # what is weighed by it is weighed once
+    known = ekf.known
+    np.testing.assert_array_equal(known[0] - state, ekf.covariance @ gradient)
+    np.testing.assert_array_equal(known[1], ekf.covariance)  # none of the information is noise
+    assert ekf.known is known  # what is weighed by it is weighed once
     ekf.noise_added = NoiseAdded(2.0 * gradient, nothing)
-    np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))
+    np.testing.assert_array_equal(ekf.known[0] - state, ekf.covariance @ (2.0 * gradient))
     ekf.covariance = 3.0 * ekf.covariance  # a window's covariance is replaced beside the same state
-    np.testing.assert_array_equal(ekf.corrected(state) - state, ekf.covariance @ (2.0 * gradient))
+    np.testing.assert_array_equal(ekf.known[0] - state, ekf.covariance @ (2.0 * gradient))
+    ekf.state = state + 1.0
+    np.testing.assert_array_equal(ekf.known[0] - ekf.state, ekf.covariance @ (2.0 * gradient))
+
+
+def test_what_noise_has_added_is_that_at_the_estimate_as_it_is_now(held, monkeypatch):
+    """Of what lasts; a rate is another one in each batch."""
+    ekf, ticks = online(held, imu_prior=PRIOR), ticks_of(held).part(slice(12))
+    p, rng = len(ekf.covariance), np.random.default_rng(5)
+    batches = [NoiseAdded(rng.normal(size=p), A @ A.T, 3.0, 10) for A in rng.normal(size=(3, p, 2))]
+    states, last = rng.normal(size=(3, p)), rng.normal(size=p)
+    left = iter(batches)
+    monkeypatch.setattr(holding, "noise_added", lambda *_, **__: next(left))
+    ticks = ticks._replace(sample_sigma=np.ones_like(ticks.sample_sigma))
+    for one, ekf.state in zip(batches, states, strict=True):
+        assert ekf._noise_of(ticks, *[None] * 4) is one
+    ekf.state, ekf.covariance = last, 1e-4 * np.eye(p)
+    lasts = np.ones(p)
+    lasts[RATE], lasts[np.array(ekf.predictor.biases)] = 0.0, 0.0
+    g = sum(one.gradient + one.information @ (lasts * (last - x)) for one, x in zip(batches, states, strict=True))
+    added = NoiseAdded(g, sum(one.information for one in batches), 9.0, 30)
+    expected = correction_of((last, ekf.covariance), added, ekf.predictor.constant)
+    np.testing.assert_allclose(ekf.correction.shift, expected.shift, rtol=1e-9, atol=1e-12)
 
 
 def test_noise_of_an_empty_arm_is_taken_out_of_what_is_known_of_the_arm():

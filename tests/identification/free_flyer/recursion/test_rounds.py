@@ -30,9 +30,6 @@ class SuspectsThat:
         self.taken_as: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         self.steps = SimpleNamespace(of_payload=lambda which: tuple(k for k in which if k >= OF_PAYLOAD), altering=PART)
 
-    def corrected(self, state: np.ndarray, before: np.ndarray) -> None:
-        """It weighs nothing."""
-
     def wrong(
         self, known: object, inside: object, *, changed: bool, payload: bool = True
     ) -> tuple[tuple[int, ...], tuple[int, ...], float]:
@@ -49,8 +46,9 @@ class SuspectsThat:
 def solved(evidence: float, hypothesis: HeldPayload = HeldPayload.NEW, mass_kg: float = 3.0) -> Solved:
     state = np.zeros(PAYLOAD.stop)
     state[PAYLOAD.start] = mass_kg
-    parts = np.zeros((9, 6)), np.eye(len(state)), Changed.none(len(state)), NoiseAdded.none(len(state)), state
-    return Solved(hypothesis, state, state, np.eye(len(state)), 100, 0, 0.0, 0.0, *parts, evidence)
+    P = np.eye(len(state))
+    parts = np.zeros((9, 6)), P, Changed.none(len(state)), NoiseAdded.none(len(state)), (state, P)
+    return Solved(hypothesis, state, state, P, 100, 0, 0.0, 0.0, *parts, evidence)
 
 
 def of(found: Solved | None, nearest: Solved | None = None, before_kg: float = 3.0) -> Any:

@@ -26,7 +26,7 @@ def solved(strained: float) -> Solved:
         np.eye(3),
         NONE,
         NoiseAdded.none(3),
-        np.zeros(3),
+        (np.zeros(3), np.eye(3)),
         0.0,
     )
 
@@ -81,7 +81,7 @@ def of_payload(hypothesis: HeldPayload, cost: float, mass_kg: float = 0.5) -> So
         np.eye(PAYLOAD.stop),
         NONE,
         NoiseAdded.none(PAYLOAD.stop),
-        state,
+        (state, np.eye(PAYLOAD.stop)),
         0.0,
     )
 

@@ -13,6 +13,7 @@ from onboard.identification.evidence.bodies import CHANGES
 from onboard.identification.free_flyer.prediction.further import CellPrior, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.recursion import pieces
 from onboard.identification.free_flyer.recursion import window as windows
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
@@ -50,7 +51,7 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
         monkeypatch.setattr(pieces, "PIECE", size)
         whole = Pieces(state, active, *use.shape)
         while not whole.over:
-            whole.advance(predictor, ticks, ticks.sigma, use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
         found.append(whole)
     one, several = found
     scale = np.sqrt(np.diag(one.normal.information))
@@ -62,6 +63,33 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
     assert several.state == pytest.approx(one.state, rel=1e-4, abs=1e-6)
 
 
+def test_normal_equations_are_by_the_covariance_of_the_lines_of_each_tick(held, rng, monkeypatch):
+    """Of those in use, which an error of a joint makes alike."""
+    monkeypatch.setattr(pieces, "PIECE", 40)
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 42))
+    state, use = np.full(len(predictor.names), 1e-3), rng.random((40, 6)) < 0.8
+    noise = LineNoise.of(ticks.sigma, ticks.sigma[:, None] * rng.standard_normal((42, 10, 6)))
+    whole = Pieces(state, np.arange(len(state)), *use.shape)
+    whole.advance(predictor, ticks, noise, use)
+    assert whole.over
+    predicted = predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
+    information, gradient, squares, logs = np.zeros((len(state), len(state))), np.zeros(len(state)), 0.0, 0.0
+    for k, used in enumerate(use):
+        own, by_joint = ticks.sigma[k + 1, used], noise.by_joint[k + 1][:, used]
+        C = np.diag(own**2) + by_joint.T @ by_joint
+        J, off = predicted.jacobian[k, used], (predicted.values[k] - ticks.measured[k + 1])[used]
+        information += J.T @ np.linalg.solve(C, J)
+        gradient += J.T @ np.linalg.solve(C, off)
+        squares += off @ np.linalg.solve(C, off)
+        logs += 0.5 * np.linalg.slogdet(C)[1]
+    scale = np.sqrt(np.diag(information) + 1e-300)
+    np.testing.assert_allclose(whole.normal.information / np.outer(scale, scale), information / np.outer(scale, scale))
+    np.testing.assert_allclose(whole.normal.gradient / scale, gradient / scale, atol=1e-9 * np.sqrt(squares))
+    assert whole.normal.squares == pytest.approx(squares)
+    assert whole.log_sigma == pytest.approx(logs)
+    assert not whole.residual[~use].any()
+
+
 def test_where_the_first_rate_no_longer_shows_the_cost_is_infinite(held):
     """A rate of 1,100 rad/s, say of a gyro in deg/s: the derivative of the later rate may round to a singular one."""
     predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 122))
@@ -70,7 +98,7 @@ def test_where_the_first_rate_no_longer_shows_the_cost_is_infinite(held):
     for diverged in (False, True):
         whole = Pieces(state, np.arange(len(state)), *use.shape, Steps(predictor).inside(120).about(state))
         while not whole.over:
-            whole.advance(predictor, ticks, ticks.sigma, use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
             if diverged:
                 whole.transition[RATE, RATE] = 1.0
         costs.append(whole.normal.squares)
@@ -140,7 +168,7 @@ def test_which_ticks_are_kept_does_not_depend_on_the_mass_that_they_tell(mass_kg
     state[PAYLOAD.start] = mass_kg
     for sigma_kg, kept in ((0.13, True), (0.9, True), (1.5, mass_kg > 3.0), (30.0, False)):
         covariance[PAYLOAD.start, PAYLOAD.start] = sigma_kg**2
-        rest = 2000.0, none, covariance, Changed.none(13), NoiseAdded.none(13), state, 0.0
+        rest = 2000.0, none, covariance, Changed.none(13), NoiseAdded.none(13), (state, covariance), 0.0
         found = Solved(HeldPayload.NEW, np.ones(13), state, covariance, 398, 0, 0.0, *rest)
         for length, grown in ((1.0, 1.5), (8.0, 6.0)):
             assert found.growth(length, 50.0) == ((True, grown) if kept else (False, 1.0))
@@ -258,7 +286,7 @@ def test_pieces_with_a_step_between_them_are_the_ticks_before_and_after_it(held,
     def predicted(size):
         whole = Pieces(state, active, *use.shape, NO_STEPS, taken, np.array([size]))
         while not whole.over:
-            whole.advance(predictor, ticks, ticks.sigma, use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
         return whole
 
     none, some, more = (predicted(size) for size in (0.0, 1.0, 1.001))
@@ -299,12 +327,14 @@ def test_the_evidence_of_two_solutions_is_that_of_the_linear_model_where_that_is
 
 def test_evidence_does_not_depend_on_how_large_noise_was_expected(rng):
     squares, used, informations = rng.random((50, 3)), np.array([50, 50, 40]), (np.eye(5), 4.0 * np.eye(5))
-    found = [
-        evidence_of(SimpleNamespace(squares=squares / wider**2), used, np.full((50, 3), 0.1 * wider), 2.0, informations)
-        for wider in (1.0, 3.0)
-    ]
+
+    def evidence(squares, sigma):
+        whole = SimpleNamespace(squares=squares / sigma**2, log_sigma=140 * np.log(sigma))
+        return evidence_of(whole, used, np.full(10, sigma), 2.0, informations)
+
+    found = [evidence(squares, sigma) for sigma in (0.1, 0.3)]
     assert found[0] - found[1] == pytest.approx(10 * np.log(3.0))  # of the ten readings that were left out
-    more = evidence_of(SimpleNamespace(squares=2.0 * squares), used, np.full((50, 3), 0.1), 2.0, informations)
+    more = evidence(2.0 * squares, 0.1)
     assert found[0] - more == pytest.approx(70 * np.log(2.0))
 
 
