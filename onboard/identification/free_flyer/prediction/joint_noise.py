@@ -37,6 +37,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
@@ -128,7 +129,10 @@ def correction_of(
     x, P = known
     B, share = _directions(P, added)
     B, share = B[:, counts := share > NOISELESS], share[counts]
-    noise = (P @ added.gradient) @ B / share  # the gradient is B times this
+    first = P @ added.gradient
+    if not len(share):
+        return NoiseCorrection(first, NOISE_SIGMA * first, none := np.zeros((len(x), 0)), none)
+    noise = first @ B / share  # the gradient is B times this
     # G = B' H^-1 B without the prior F F', by H^-1 = P + P F (1 - F' P F)^-1 F' P (Woodbury); B' of the lines' estimate
     has = np.isfinite(sigma) & (sigma > 0.0)
     PF, x_F = P[:, has] / sigma[has], x[has] / sigma[has]
@@ -137,7 +141,9 @@ def correction_of(
         R = _root_less(sigma[has, None] * released[has])
         PF, x_F, S = PF @ R, R @ x_F, R @ S @ R
     Y = PF.T @ B
-    told = np.linalg.solve((1.0 + ROUNDING) * np.eye(len(S)) - S, np.column_stack([Y, x_F]))
+    left, by = (1.0 + ROUNDING) * np.eye(len(S)) - S, np.column_stack([Y, x_F])  # positive but for rounding
+    told, failed = dposv(left, by, lower=True)[1:] if len(S) else (by, 0)
+    told = np.linalg.solve(left, by) if failed else told
     G, lines = np.diag(share) + Y.T @ told[:, :-1], B.T @ x + Y.T @ told[:, -1]
     G, Q = np.linalg.eigh(0.5 * (G + G.T))  # shares of noise in the information of the lines alone
     lines, here, noise = Q.T @ lines, Q.T @ (B.T @ x), Q.T @ noise
@@ -150,7 +156,7 @@ def correction_of(
     scores[k] = left[k] - by @ (lines[k] + G[k] * left[k])
     more = np.linalg.solve(np.eye(len(G)) - lost @ share, lost)
     more, PB = 0.5 * (more + more.T), P @ B  # the covariance is larger by P B more B' P
-    rest = P @ added.gradient - PB @ noise
+    rest = first - PB @ noise
     shift = rest + PB @ (more @ here + scores + more @ (share @ scores))
     doubt, other = np.zeros(len(G)), (noise + B.T @ shift)[k]  # gradient and slopes that another power would add
     doubt[k] = other - by @ (G[k] * other)
