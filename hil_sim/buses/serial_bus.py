@@ -76,6 +76,7 @@ class _Wire(SerialWire):
         self, device: SerialStation, sample_length: Callable[[bytes], int], said: "deque[tuple[_Wire, bytes, int]]"
     ) -> None:
         self._sample_length, self._said = sample_length, said
+        self._listens = device if isinstance(device, Listens) else None
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
         super().__init__(device)
 
@@ -108,8 +109,8 @@ class _Wire(SerialWire):
 
     def overhear(self, data: bytes, end_ns: int) -> None:
         """Another station sends."""
-        if isinstance(self._device, Listens):
-            self._device.overhear(data, end_ns)
+        if self._listens is not None:
+            self._listens.overhear(data, end_ns)
 
 
 class SerialBus:

@@ -61,12 +61,13 @@ class FaultyImu:
         self._start_ns = start_ns
         kinds = (FaultKind.SATURATED, *INPUT_KINDS)
         self._windows = [w for w in faults.windows if w.kind in kinds]
+        self._ahead = analog if isinstance(analog, KnownAhead) else None
         self._last: NDArray[np.int16] | None = None
 
     @property
     def known_s(self) -> float:
         """As of ``KnownAhead``; 0 where no future is known."""
-        return self._analog.known_s if isinstance(self._analog, KnownAhead) else 0.0
+        return 0.0 if self._ahead is None else self._ahead.known_s
 
     def counts(
         self, times_s: NDArray[np.float64], accel_lsb_per_g: float, gyro_lsb_per_dps: float, dlpf_cfg: int
