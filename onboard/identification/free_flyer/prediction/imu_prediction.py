@@ -234,10 +234,9 @@ class ImuPredictor:
         self.stated[self.anew_at] = np.nan
         walks = [*((of, DRIFT_MEMORY_s) for _, of in self.biases), *self.wandering]
         self._walking = np.array([of for of, _ in walks], np.intp)
-        self.constant = self.sigma.copy()
-        self.constant[np.concatenate([self.changing, self._walking])] = np.nan
         self.lasting = np.ones(len(self.names))
         self.lasting[np.concatenate([self.changing, self._walking])] = 0.0
+        self.constant = np.where(self.lasting > 0.0, self.sigma, np.nan)
         self._walked = 2.0 / np.array([memory_s for _, memory_s in walks]) * self.sigma[self._walking] ** 2  # 1/s
 
     def _further_imu(self, one: FurtherImu) -> PlacedImu:

@@ -53,7 +53,6 @@ from onboard.native import library, structures
 NOISE_KEY = "noise_rad of the joints"  # what an estimate leans on that is corrected for noise
 NOISELESS = 1e-3  # of the variance of a line, or of a parameter's information: what noise below that does is left out
 
-_LEAST = 1e-9  # of the largest share of noise in the information of a direction: those below are rounding
 PRODUCT = 2.0  # variance of the product of two equal normal deviates, over that of two independent ones (Isserlis 1918)
 
 
@@ -133,18 +132,7 @@ def correction_of(
     if not len(share):
         return NoiseCorrection(first, NOISE_SIGMA * first, none := np.zeros((len(x), 0)), none)
     noise = first @ B / share  # the gradient is B times this
-    # G = B' H^-1 B without the prior F F', by H^-1 = P + P F (1 - F' P F)^-1 F' P (Woodbury); B' of the lines' estimate
-    has = np.isfinite(sigma) & (sigma > 0.0)
-    PF, x_F = P[:, has] / sigma[has], x[has] / sigma[has]
-    S = PF[has] / sigma[has, None]
-    if released is not None:
-        R = _root_less(sigma[has, None] * released[has])
-        PF, x_F, S = PF @ R, R @ x_F, R @ S @ R
-    Y = PF.T @ B
-    left, by = (1.0 + ROUNDING) * np.eye(len(S)) - S, np.column_stack([Y, x_F])  # positive but for rounding
-    told, failed = dposv(left, by, lower=True)[1:] if len(S) else (by, 0)
-    told = np.linalg.solve(left, by) if failed else told
-    G, lines = np.diag(share) + Y.T @ told[:, :-1], B.T @ x + Y.T @ told[:, -1]
+    G, lines = _of_lines_alone(known, B, share, sigma, released)
     G, Q = np.linalg.eigh(0.5 * (G + G.T))  # shares of noise in the information of the lines alone
     lines, here, noise = Q.T @ lines, Q.T @ (B.T @ x), Q.T @ noise
     B, share = B @ Q, Q.T * share @ Q
@@ -165,6 +153,27 @@ def correction_of(
     root = PB @ R * np.sqrt(np.maximum(values, 0.0))
     most = values * np.einsum("ij,ij->j", R, share @ R) > NOISELESS
     return NoiseCorrection(shift, NOISE_SIGMA * doubt, root, root[:, most])
+
+
+def _of_lines_alone(
+    known: Known, B: FloatArray, share: FloatArray, sigma: FloatArray, released: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """``G = B' H^-1 B``, (r, r), without the prior F F', and B' of the lines' own estimate, (r,).
+
+    By ``H^-1 = P + P F (1 - F' P F)^-1 F' P`` (Woodbury). Arguments: see :func:`correction_of`, :func:`_directions`.
+    """
+    x, P = known
+    has = np.isfinite(sigma) & (sigma > 0.0)
+    PF, x_F = P[:, has] / sigma[has], x[has] / sigma[has]
+    S = PF[has] / sigma[has, None]
+    if released is not None:
+        R = _root_less(sigma[has, None] * released[has])
+        PF, x_F, S = PF @ R, R @ x_F, R @ S @ R
+    Y = PF.T @ B
+    left, by = (1.0 + ROUNDING) * np.eye(len(S)) - S, np.column_stack([Y, x_F])  # positive but for rounding
+    told, failed = dposv(left, by, lower=True)[1:] if len(S) else (by, 0)
+    told = np.linalg.solve(left, by) if failed else told
+    return np.diag(share) + Y.T @ told[:, :-1], np.asarray(B.T @ x + Y.T @ told[:, -1], np.float64)
 
 
 def _root_less(by: FloatArray) -> FloatArray:
@@ -203,7 +212,7 @@ def _directions(P: FloatArray, added: NoiseAdded) -> tuple[FloatArray, FloatArra
     values, V = np.linalg.eigh(added.information[np.ix_(at, at)])
     V = V * np.sqrt(np.maximum(values, 0.0))
     share, U = np.linalg.eigh(V.T @ P[np.ix_(at, at)] @ V)
-    B = np.zeros((len(P), int((own := share > _LEAST * share.max(initial=0.0)).sum())))
+    B = np.zeros((len(P), int((own := share > ROUNDING * share.max(initial=0.0)).sum())))
     B[at] = V @ U[:, own]
     return B, share[own]
 
