@@ -36,6 +36,7 @@ SILENT_NS = 500_000_000  # five heartbeats
 LARGEST = 1e9  # rev, rev/s, N m: beyond it a number is none
 EARLY = 0.1  # of a period, by which the second of two messages comes too early where none is missing between them
 SLOWER = 0.01  # than ``rate_hz``: its crystal is good for 1e-4
+FASTER = 0.05  # than ``rate_hz``: messages are set to another rate, and cannot be counted by it
 
 
 @dataclass(frozen=True)
@@ -99,22 +100,32 @@ class _Stream:
         self._period_ns = 1e9 / axis.rate_hz
         self._next = 0
         self._due_ns = 0.0  # when the last message would have come without delay, or later
+        self._since = 0, 0  # number and arrival of the first message since the last silence
+        self._is_even = True  # as far as is known: they come at the rate stated
 
     def take(self, messages: Sequence[_Message], first: SampleStatus, state: int) -> None:
         """Rows of messages that were read together; the first is marked ``first``."""
-        last_ns = messages[-1].host_ns
+        first_ns, last_ns = messages[0].host_ns, messages[-1].host_ns
         sent = len(messages)
         if self.heard_ns is not None:
             sent = max(sent, int((last_ns - self._due_ns) / self._period_ns + EARLY))
             self._lose(last_ns, sent - len(messages), "messages_lost")
+        if self.heard_ns is None or first_ns - self.heard_ns > SILENT_NS:
+            self._since = self._next, first_ns
         late_ns = self._due_ns + sent * self._period_ns * (1.0 + SLOWER)
         self._due_ns = last_ns if self.heard_ns is None else min(last_ns, late_ns)
         self.heard_ns = last_ns
+        numbers = self._next + np.arange(len(messages))
+        ticks = self._since[1] + np.rint((numbers - self._since[0]) * self._period_ns)
+        if self._is_even and last_ns - self._since[1] > SILENT_NS:
+            self._is_even = ticks[-1] - self._since[1] < (1.0 + FASTER) * (last_ns - self._since[1])
+            if not self._is_even:
+                self._tell_rate(last_ns, int(numbers[-1]) - self._since[0])
         values = np.array([message.values for message in messages])
         for name, (which, scale, unit) in self._channels.items():
             rows = np.zeros(len(messages), SCALAR)
-            rows["sequence"] = self._next + np.arange(len(messages))
-            rows["host_ns"] = rows["tick"] = [message.host_ns for message in messages]
+            rows["sequence"], rows["host_ns"] = numbers, [message.host_ns for message in messages]
+            rows["tick"] = ticks if self._is_even else rows["host_ns"]
             good = np.abs(values[:, which]) < LARGEST  # false of what is not finite
             rows["value_raw"] = np.rint(np.where(good, values[:, which], 0.0) * COUNTS)
             rows["scale"], rows["unit"], rows["device_status"] = scale, unit.encode(), state & 0xFF
@@ -129,6 +140,12 @@ class _Stream:
         """Count what is missing at the end."""
         if self.heard_ns is not None and now_ns - self.heard_ns > SILENT_NS:
             self._lose(now_ns, int((now_ns - self.heard_ns) / self._period_ns), "silent")
+
+    def _tell_rate(self, now_ns: int, count: int) -> None:
+        text = f"messages come at {1e9 * count / (now_ns - self._since[1]):.3g} Hz, not at {1e9 / self._period_ns:g}"
+        text += ": set rate_hz to that; until then their times are those of their arrivals"
+        for name in self._channels:
+            self._report.event(now_ns, Severity.WARNING, "rate", text, name)
 
     def _lose(self, now_ns: int, lost: int, cause: str) -> None:
         if lost > 0:

@@ -283,10 +283,10 @@ class Vehicle(BaseModel):
         return self.file.bus[bus].url
 
     def baud(self, bus: str) -> float:
-        """Of a serial line, by the file as it was written: a replay has no other, wherever the bus flew."""
+        """Of a serial line or a CAN bus, by the file as it was written: a replay has no other, wherever it flew."""
         url = self.tree["bus"][bus]["url"]
-        told = parse_qs(urlsplit(url).query).get("baud")
-        return float(told[0]) if told else UNSTATED_BAUD
+        told = parse_qs(urlsplit(url).query)
+        return float(next((told[key][0] for key in ("bitrate", "baud") if key in told), UNSTATED_BAUD))
 
     def rate_hz(self, device: str) -> float:
         """Nominal rate of a device's samples."""

@@ -34,7 +34,7 @@ class Surroundings(Protocol):
         """URL of a bus that is there, as it is opened."""
 
     def baud(self, bus: str) -> float:
-        """Bit rate in a serial bus's URL, as the vehicle file has it: a replay has no other."""
+        """Bit rate in the URL of a serial line or a CAN bus, as the vehicle file has it: a replay has no other."""
 
     def devices_on(self, bus: str) -> "Mapping[str, BusDevice]":
         """Devices by name on one bus."""

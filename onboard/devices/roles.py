@@ -55,10 +55,7 @@ class LoadCellKeys(Section):
     ] = None
     zero_drift_N_s: Annotated[  # noqa: N815
         Positive | None,
-        Field(
-            description="1 sigma of its zero's drift. ExIDDM: 1e-5 of capacity_N a second if silent; intervals by rows "
-            "carry it where it is stated."
-        ),
+        Field(description="1 sigma of its zero's drift; 1e-5 of capacity_N a second if silent."),
     ] = None
     delay_ms: NotNegative = 0.0
     delay_sigma_ms: NotNegative = 0.0
@@ -66,6 +63,11 @@ class LoadCellKeys(Section):
     gain: Positive = 1.0
     offset_N: Real = 0.0  # noqa: N815
     calibrated: str = ""
+
+    @property
+    def drift_N_s(self) -> float:  # noqa: N802
+        """1 sigma of the drift of its zero, as stated or as of a silent file."""
+        return 1e-5 * self.capacity_N if self.zero_drift_N_s is None else self.zero_drift_N_s
 
     @property
     def relative_sigma(self) -> float:

@@ -120,6 +120,32 @@ def test_lost_messages_are_counted_by_the_time_that_passed():
     assert set(of(flight.batches, "gap")["cause"]) == {b"messages_lost"}
 
 
+def test_ticks_are_even_however_long_messages_wait():
+    """Of 100 messages a third wait up to 6 ms; after a silence ticks begin anew at what arrives."""
+    flight = Flight().run(1)
+    waited = 0
+    for k in range(1, 100):
+        wait = 6 * MS * (k % 3 == 0) * (k % 7) // 6
+        flight.pump(10 * MS + wait - waited, estimates(0.0))
+        waited = wait
+    rows = whole(flight.batches, "knee")
+    assert set(np.diff(rows["tick"].astype(int))) == {10 * MS}
+    assert np.ptp(rows["host_ns"] - rows["tick"]) == 6 * MS
+    flight.pump(703 * MS, heartbeat(), estimates(0.0))
+    after = whole(flight.batches, "knee")[-1]
+    assert after["tick"] == after["host_ns"]
+
+
+def test_messages_faster_than_stated_have_the_times_of_their_arrivals_and_it_is_told():
+    flight = Flight()
+    for _ in range(200):
+        flight.pump(9 * MS, estimates(0.0))
+    rows = whole(flight.batches, "knee")
+    assert (rows["tick"][60:] == rows["host_ns"][60:]).all()
+    told, _ = texts(flight.batches, "rate")
+    assert told.startswith("messages come at 111 Hz, not at 100: set rate_hz to that")
+
+
 @pytest.mark.parametrize(("late_ms", "lost"), [(8.9, 0), (9.1, 1)])
 def test_a_late_message_is_another_one_where_the_next_could_have_come(late_ms, lost):
     flight = Flight().run(3)

@@ -1,5 +1,6 @@
 """ODrive motor controllers on CAN, by the messages that they send unasked (CANSimple); read, never commanded."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar, Literal
 
@@ -16,6 +17,9 @@ from onboard.section import NotNegative, Positive
 from onboard.timebase.delays import Delay
 from onboard.timebase.timebase import ChannelClock, FollowerChannel, FreeChannel
 
+MESSAGES = 2  # of an axis in a period: estimates, torques
+FRAME_BITS = 135  # of a frame of 8 bytes, with all the bits that may be stuffed (Davis, Burns, Bril, Lukkien 2007)
+
 
 class OdriveDevice(MotorDevice):
     """An axis of an ODrive (firmware 0.6: S1, Pro, Micro) on a joint, with others on its bus.
@@ -31,8 +35,9 @@ class OdriveDevice(MotorDevice):
     records = SCALAR
     driver_configs = (OdriveAxis,)
     about_clock = (
-        "The arrival of each message, less `delay_ms`: messages carry no time. When within its control cycle the "
-        "estimate is taken is not published, which is part of `delay_sigma_ms`."
+        "A line through the arrivals of its messages, counted, that came least late, less `delay_ms`: messages carry "
+        "no time. When within its control cycle the estimate is taken is not published, which is part of "
+        "`delay_sigma_ms`, and so is a wait for other axes that lasts."
     )
     heard: ClassVar[Heard | None] = staticmethod(heard)
     keeps_zero = False
@@ -43,8 +48,7 @@ counts_per_revolution = 8388608 # yours: 1048576 x gear, here 8; negative where 
 zero_count = 0                 # yours: what it reads at joint angle zero
 noise_rad = 5e-5               # yours: of a sample, arm at rest
 """
-    # messages wait for those of other axes: the more the joint turns, the more their angles scatter
-    new_floating_smoothing_ms: ClassVar[int | None] = 600
+    new_floating_smoothing_ms: ClassVar[int | None] = 600  # its noise, through less, widens what a free-flyer holds
     kind: Literal["odrive"]
     node: Annotated[int, Field(ge=0, le=63)]
     counts_per_revolution: int = COUNTS
@@ -52,7 +56,10 @@ noise_rad = 5e-5               # yours: of a sample, arm at rest
         Positive, Field(description="Of its messages: 1000 / `encoder_msg_rate_ms`, and of `torques_msg_rate_ms`.")
     ] = OdriveAxis.rate_hz
     delay_ms: Annotated[NotNegative, Field(description="From the estimate to the arrival of its message.")] = 0.5
-    delay_sigma_ms: Annotated[NotNegative, Field(description="Standard deviation of `delay_ms`.")] = 0.2
+    delay_sigma_ms: Annotated[
+        NotNegative,
+        Field(description="Standard deviation of `delay_ms` of an axis alone on its bus. That of waiting is added."),
+    ] = 0.2
 
     @classmethod
     def open_on(cls, bus: OpeningBus) -> list[Device]:
@@ -88,7 +95,13 @@ noise_rad = 5e-5               # yours: of a sample, arm at rest
     def delays(self, name: str, around: Surroundings) -> list[Delay]:
         """See ``DeviceSection``."""
         cause = "from the estimate to the arrival of its message"
-        return [
-            Delay(channel, "", 1e-3 * self.delay_ms, 1e-3 * self.delay_sigma_ms, cause, name)
-            for channel in self.channels(name)
-        ]
+        sigma_s = math.hypot(1e-3 * self.delay_sigma_ms, self._wait_s(around))
+        return [Delay(channel, "", 1e-3 * self.delay_ms, sigma_s, cause, name) for channel in self.channels(name)]
+
+    def _wait_s(self, around: Surroundings) -> float:
+        """Root mean square of how long a message waits for those of other axes: for none, for all, or between.
+
+        Axes on one supply start together and send at one rate, so that one that waits does so for the whole flight.
+        """
+        axes = sum(isinstance(one, OdriveDevice) for one in around.devices_on(self.bus).values())
+        return MESSAGES * (axes - 1) * FRAME_BITS / around.baud(self.bus) / math.sqrt(3.0)

@@ -15,7 +15,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, numbers_of, possible_body
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.policy import HALF, contradicted_text
+from onboard.estimation.policy import HALF
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import refused_from
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, QuantityEstimate
@@ -65,9 +65,8 @@ class GraspedPayload:
         jackknife: JackknifeEstimate,
         prior_covariance: FloatArray,
         unstated: Unstated,
-        used: int,
-        refused: int,
         why: str,
+        saturated: float = 0.0,
     ) -> tuple[QuantityEstimate, ...]:
         """The ten with two-sided intervals, in the payload link's frame.
 
@@ -78,16 +77,17 @@ class GraspedPayload:
             jackknife: the estimate of the base parameters.
             prior_covariance: of the base parameters before the rows, (p, p).
             unstated: what errors that no key states do to the base parameters; part of the intervals.
-            used: rows in it.
-            refused: rows that contradicted it.
             why: none of them is supported; empty if they may be.
+            saturated: share of the rows, left out for that.
         """
         standard = jackknife.combination(self._w)
         shrinkage = standard.sigma / np.sqrt(np.einsum("ri,ij,rj->r", self._w, prior_covariance, self._w))
         weak = (shrinkage > SUPPORTED_SHRINKAGE) | (standard.degrees_of_freedom < SUPPORTED_FREEDOM)
-        why = contradicted_text(refused / max(used + refused, 1)) or why
         if not why and (weak[0] or standard.low[0] <= 0.0):
-            why = "the data do not determine a mass apart from zero; move more, or against gravity"
+            remedy = "move more, or against gravity"
+            if saturated > 0.5:
+                remedy = f"{saturated:.0%} of the readings are beyond the capacity of their cells"
+            why = f"the data do not determine a mass apart from zero; {remedy}"
             if not weak[0] and standard.high[0] < 0.0:
                 mass = f"its mass would be {standard.low[0]:.3g} to {standard.high[0]:.3g} kg"
                 why = f"{mass}: a recording without it comes first, and signs are those of what holds the links"

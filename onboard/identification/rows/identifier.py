@@ -12,7 +12,7 @@ import numpy as np
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, count_refused, none_refused
-from onboard.estimation.policy import HALF
+from onboard.estimation.policy import HALF, contradicted_text
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -137,8 +137,9 @@ class Identifier:
         self._instrument = np.array([instruments.index(instrument_of(name)) for name in rows], np.intp)
         self.about: FloatArray | None = None
         self._estimated: tuple[tuple[int, int], Estimate] | None = None  # the last one, and what it is of
-        self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments)
         free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
+        beside = 0 if free else len(self.considered)  # of a free base columns of errors are of the rows' own noise
+        self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments, beside)
         self._of_motion = of_motion(considered)
         of_errors = p, considered, block_s, [joint.name for joint in model.vehicle.joints], start and start.sensitivity
         self._corrections = FittedCorrections(*of_errors) if free and self._of_motion else None
@@ -272,7 +273,7 @@ class Identifier:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
-        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, own, doubt)
+        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, own, doubt, C)
         if self._corrections is not None and noisy.C is not None:
             self._corrections.add(times, rows, y, sigma, noisy.C, doubt, mean)
         self.rows_used += y.size
@@ -311,7 +312,8 @@ class Identifier:
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self._physical
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked), self.considered)
+            beside = self.taken.considered[: self.seen.considered]
+            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, beside), self.considered)
         return self._fitted[1]
 
     @property
@@ -380,6 +382,10 @@ class Identifier:
         """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
         return self._estimate(False)
 
+    def _share(self, reason: GateReason) -> float:
+        """Of the rows, but for those left out for other reasons, that was left out for this one."""
+        return self.refused[reason] / max(self.rows_used + self.refused[reason], 1)
+
     def _estimate(self, with_unstated: bool) -> Estimate:
         jackknife = self.block_jackknife()
         p, weights = len(self.base.names), self._weights
@@ -400,8 +406,8 @@ class Identifier:
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:
-            refused = 0 if self.suspects else self.refused[GateReason.RESIDUAL]
-            of_rows = self.rows_used, refused, self.contradiction(jackknife)
-            quantities += self.payload.quantities(jackknife, prior, unstated, *of_rows)
+            why = "" if self.suspects else contradicted_text(self._share(GateReason.RESIDUAL))
+            why, saturated = why or self.contradiction(jackknife), self._share(GateReason.SATURATED)
+            quantities += self.payload.quantities(jackknife, prior, unstated, why, saturated)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))

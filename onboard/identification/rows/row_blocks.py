@@ -17,22 +17,24 @@ Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None
 
 
 class RowBlocks:
-    """Sums of ``[Y, y, 1]`` over the rows, whitened.
+    """Sums of ``[Y, y, 1, C]`` over the rows, whitened.
 
     Args:
         parameters: p.
         block_s: first length of a block.
         instruments: that made the rows, by name.
+        considered: errors that do C to a row, k.
 
     Attributes:
         listener: hears of the rows, if there is one.
     """
 
-    def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...]) -> None:
-        self.instruments = instruments
+    def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...], considered: int = 0) -> None:
+        self.instruments, self.considered = instruments, considered
         self.listener: Listener | None = None
+        self._made, every = parameters + 2, parameters + 2 + considered
         self._blocks = {
-            (held, k): BlockScores(parameters + 2, block_s) for held in (True, False) for k in range(len(instruments))
+            (held, k): BlockScores(every, block_s) for held in (True, False) for k in range(len(instruments))
         }
         self._own = dict.fromkeys(self._blocks, 0.0)
 
@@ -46,6 +48,7 @@ class RowBlocks:
         sigma: FloatArray,
         own: FloatArray,
         noise: FloatArray | None,
+        C: FloatArray | None = None,
     ) -> None:
         """Takes rows in as :meth:`BlockScores.add` does.
 
@@ -58,10 +61,12 @@ class RowBlocks:
             sigma: (m,) with the noise of the motion.
             own: (m,) of the readings by themselves.
             noise: (m, s, p + 1) of the motion, per sigma of a signal.
+            C: (m, k) what considered errors do to the rows; None where there are none.
         """
         if self.listener is not None:
             self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None], sigma)
-        rows = np.column_stack([Y, y, sigma])  # whitened, the last is one: it counts
+        columns = [Y, y, sigma, C] if C is not None and self.considered else [Y, y, sigma]
+        rows = np.column_stack(columns)  # whitened, that of sigma is one: it counts
         wider = None
         if noise is not None:
             wider = np.zeros((*noise.shape[:2], rows.shape[1]))
@@ -81,8 +86,15 @@ class RowBlocks:
 
     def apart(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
         """Normal equations of each block without that noise, and the noise: views of what further rows are added to."""
-        blocks = self._blocks[held, instrument]
-        return blocks.normal, blocks.noise_by_block
+        blocks, made = self._blocks[held, instrument], slice(self._made)
+        return blocks.normal[:, made, made], blocks.noise_by_block[:, made, made]
+
+    def with_errors(self, held: bool, instrument: int) -> tuple[FloatArray, FloatArray]:
+        """The same with what considered errors do to the rows: of ``[Y, C, y, 1]``, (b, p + k + 2, p + k + 2) each."""
+        blocks, p = self._blocks[held, instrument], self._made - 2
+        order = np.roll(np.arange(p, blocks.normal.shape[1]), -2)
+        at = np.concatenate([np.arange(p), order])[:, None]
+        return blocks.normal[:, at, at.T], blocks.noise_by_block[:, at, at.T]
 
     def total(self) -> FloatArray:
         """Normal equations of all rows, with the noise of their regressor, (p + 2, p + 2)."""

@@ -59,7 +59,7 @@ def test_a_device_that_states_its_delay_adds_it_to_the_joints_of_a_free_base():
     ("kinds", "joint_s", "cell_s"),
     [
         (("cia406", "bota_ft"), 0.0, 0.926e-3),  # a pulse marks the joints, not the sensor's packages
-        (("odrive", "cia404"), 0.2e-3, 0.05e-3),  # each encoder by its own arrivals
+        (("odrive", "cia404"), 0.655e-3, 0.05e-3),  # each encoder by its own arrivals, which wait for those of another
         (("ur_joint", "ur_wrench"), 0.0, 0.05e-3),  # all in one package: late together
         (("ur_joint", "bota_ft"), 0.0, 2.54e-3),  # against the joints, which are late too
     ],
@@ -76,3 +76,15 @@ def test_what_arrives_by_itself_is_late_against_the_joints_by_its_wait(tmp_path,
     assert [one.delay_sigma_s for one in roles.joints] == pytest.approx([joint_s] * len(roles.joints), rel=0.02)
     cells = [one.delay_sigma_s for one in roles.cells if not isinstance(one.keys, TorqueKeys)]
     assert cells == pytest.approx([cell_s] * len(cells), rel=0.02)
+
+
+def test_a_cell_drifts_as_stated_or_as_a_silent_file_has_it(tmp_path):
+    """In what rows consider, as in the filter of a free base."""
+    arm = ["init", str(tmp_path / "it"), "--base", "fixed", "--joints", "2", "--load-cell", "net_ft"]
+    assert cli.main(arm) == cli.OK
+    path = tmp_path / "it" / "vehicle.toml"
+    text = path.read_text()
+    path.write_text(text.replace("capacity_N = 50.0", "capacity_N = 50.0\nzero_drift_N_s = 0.02", 1))
+    considered = build_identifier(config.load(path))[0].considered
+    sigma = [one.sigma for one in considered if one.effect == "drift"]
+    assert sigma == pytest.approx([0.02, 5e-4, 5e-4, 1e-4, 1e-4, 1e-4])

@@ -308,3 +308,11 @@ def test_rows_that_cannot_tell_all_of_a_payload_do_not_name_it(run):
     prior = prior_root(model, dict.fromkeys(vehicle.links, 0.01) | {"tool": 0.0}, {"bias_cell": 1.0})
     floor = 1e-6 * np.eye(len(prior))
     assert Identifier(model, base, np.maximum(prior, floor), 5 * WIDTH_S).quantity_names == ()
+
+
+def test_a_cell_too_small_for_its_load_is_the_reason_where_most_readings_are_saturated(run):
+    who, refused = identifier(), np.zeros((len(run.time_s), 6), np.int64)
+    refused[run.time_s > GRASP_S] = int(GateReason.SATURATED)
+    feed(who, run._replace(refused=refused))
+    assert not grasped(who).supported.any()
+    assert all("of the readings are beyond the capacity of their cells" in note for note in grasped(who).notes)

@@ -83,7 +83,7 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
     scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
     delay = Considered(f"delay of {name}", name, "delay", cell.delay_sigma_s, f"{name} delay_sigma_ms")
-    drift_N_s = (keys.zero_drift_N_s if isinstance(keys, LoadCellKeys) else None) or 0.0
+    drift_N_s = keys.drift_N_s if isinstance(keys, LoadCellKeys) else 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
     return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else []), *_between(name, keys)]
 

@@ -168,8 +168,7 @@ def further_instruments(vehicle: config.Vehicle, model: VehicleModel, imu_prior:
             found.append(torque_cell(vehicle, model, cell, keys, samples))
             continue
         bias = 0.01 * keys.capacity_N if keys.zero_sigma_N is None else keys.zero_sigma_N
-        drift = 1e-5 * keys.capacity_N if keys.zero_drift_N_s is None else keys.zero_drift_N_s
-        prior_of_cell = CellPrior(bias, drift, keys.relative_sigma, cell.delay_sigma_s)
+        prior_of_cell = CellPrior(bias, keys.drift_N_s, keys.relative_sigma, cell.delay_sigma_s)
         projection = load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m).projection
         found.append(FurtherCell(cell.name, keys.frame, projection, samples, prior_of_cell))
     return found

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, MISFIT_PART, MOSTLY, REFUSE, of_each
@@ -25,6 +26,7 @@ from onboard.identification.rows.checks.gain import Blocks, GainError, GainTests
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
+_NONE, _EXACT = np.zeros(0), 1e-12  # no considered errors; sigma of one of which the file states none
 MOST_UNEXPLAINED = FARTHEST_SIZE * LIKELY_SIZE  # of what was measured, left over by the fit: by the farthest scale
 
 
@@ -56,6 +58,7 @@ def instrument_fits(
     prior: FloatArray,
     correlation: float,
     recorded_apart: bool = False,
+    considered: FloatArray = _NONE,
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -69,12 +72,18 @@ def instrument_fits(
         prior: information on the parameters before the rows, (p, p).
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
         recorded_apart: rows with the payload and those without are of different recordings.
+        considered: sigmas of the considered errors, (k,): of those with one, what else may explain a gain.
     """
-    v, *others = (np.concatenate([one, [-1.0, 0.0]]) for one in (mean, plain, drawn))
-    rows_of = {part: blocks.apart(*part) for part in blocks.parts}
+    none = np.zeros(len(considered))
+    v, *others = (np.concatenate([one, none, [-1.0, 0.0]]) for one in (mean, plain, drawn))
+    rows_of = {part: blocks.with_errors(*part) for part in blocks.parts}
     judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
-    every = prior + sum(part.H.sum(axis=0) for part in judged.values())
-    body, plan = np.where(physical, mean, 0.0), np.where(physical, drawn, 0.0)
+    every = block_diag(prior, np.diag(correlation / np.maximum(considered, _EXACT) ** 2))
+    every += sum(part.H.sum(axis=0) for part in judged.values())
+    if len(none) and judged:
+        v[:-2] += _beside(every, sum(part.scores.sum(axis=0) for part in judged.values()), len(mean))
+        judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
+    body, plan = np.append(np.where(physical, v[: len(mean)], 0.0), none), np.where(physical, drawn, 0.0)
     found = []
     begins = [
         min((part.times_s.min() for (held, _), part in judged.items() if held is own), default=np.inf)
@@ -106,8 +115,20 @@ def instrument_fits(
             beside = [part for (_, own), part in judged.items() if own != number]
             gains = GainTests(parts, beside, body, every) if parts else None
             step, gain = (gains.step(another_s), gains.error()) if gains else (None, None)
+            step, gain = (one and one._replace(moved=one.moved[: len(mean)]) for one in (step, gain))
             found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), step, gain))
     return tuple(found)
+
+
+def _beside(every: FloatArray, scores: FloatArray, parameters: int) -> FloatArray:
+    """By how much an estimate of p parameters alone, and errors of zero, are off that of both, (p + k,).
+
+    Args:
+        every: information on both, (p + k, p + k).
+        scores: sum of all rows' scores at that estimate, (p + k,).
+        parameters: p.
+    """
+    return np.asarray(np.linalg.solve(every, np.append(np.zeros(parameters), scores[parameters:])), np.float64)
 
 
 def _sums(N: FloatArray, v: FloatArray) -> FloatArray:

@@ -54,6 +54,38 @@ def test_how_much_is_left_over_and_how_little_is_read_decides(misfit, unexplaine
     assert (len(against), len(doubts)) == reasons
 
 
+def drifting(rng, sigma, jump=1.0):
+    """A slow motion, read by a cell of which the zero drifts by 0.02 a second; with the drift's column C."""
+    t = 0.01 * np.arange(3000)
+    Y = np.column_stack([np.sin(0.4 * t), np.cos(0.7 * t), np.ones(3000)])
+    y = np.where(t > 15.0, jump, 1.0) * (Y @ (TRUTH * PHYSICAL)) + TRUTH[2] + 0.02 * t + 0.05 * rng.normal(size=3000)
+    mean = np.linalg.lstsq(Y, y, rcond=None)[0]
+    seen, held, noise = RowBlocks(3, 0.5, ("cell",), 1), np.ones(3000, bool), np.full(3000, 0.05)
+    seen.add(t, held, np.zeros(3000, np.intp), Y, y, noise, noise, None, t[:, None])
+    asked = mean, mean, TRUTH, np.zeros(3), PHYSICAL, 1e-6 * np.eye(3), 1.0
+    return instrument_fits(seen, *asked, considered=np.array([sigma]))[0]
+
+
+def test_a_drift_that_is_considered_is_no_step_of_a_scale(rng):
+    """Stated as exact it is one, and a step beside it is found and sized."""
+    assert judged_fit(drifting(rng, 0.02), 1.0) == ([], [])
+    assert drifting(rng, 0.0).step.is_significant
+    found = drifting(rng, 0.02, 1.3).step
+    assert found.is_significant
+    assert found.size == pytest.approx(0.3, abs=0.05)
+    assert found.moved.shape == (3,)
+
+
+def test_blocks_with_errors_are_those_without_and_the_columns_between(rng):
+    Y, C, y = rng.normal(size=(50, 3)), rng.normal(size=(50, 2)), rng.normal(size=50)
+    one, times = np.full(50, 2.0), 0.01 * np.arange(50)
+    seen = RowBlocks(3, 10.0, ("cell",), 2)
+    seen.add(times, np.ones(50, bool), np.zeros(50, np.intp), Y, y, one, one, None, C)
+    whole, alone = np.column_stack([Y, C, y, one]) / 2.0, np.column_stack([Y, y, one]) / 2.0
+    assert seen.with_errors(True, 0)[0][0] == pytest.approx(whole.T @ whole)
+    assert seen.apart(True, 0)[0][0] == pytest.approx(alone.T @ alone)
+
+
 @pytest.mark.parametrize("at_s", [4.0, 15.0, 26.0])
 def test_a_scale_that_jumps_is_seen_wherever_it_does(rng, at_s):
     fit = fits(rng, lambda t, y: np.where(t > at_s, 1.1, 1.0) * y)
