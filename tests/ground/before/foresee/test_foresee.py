@@ -152,7 +152,7 @@ def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
         ("noise_rad = 4e-6", "noise_rad = 1e-12\nzero_sigma_rad = 0.0"),
         ("scale_sigma = 0.0025", "scale_sigma = 0.0"),
         ("lever_sigma_m = 1e-4", "lever_sigma_m = 0.0"),
-        ("delay_sigma_ms = 0.05", "delay_sigma_ms = 0.0"),
+        ("delay_sigma_ms = 0.05", "delay_sigma_ms = 0.0\nzero_drift_N_s = 1e-12"),
     )
     vehicle, plan = made(tmp_path, "--base", "fixed", "--joints", "2", "--load-cell", "cia404", edits=edits)
     found = foresee(vehicle, plan)
