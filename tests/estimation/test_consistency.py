@@ -339,3 +339,18 @@ def test_impossible_questions_are_refused():
         JackknifeEstimate(rls, BlockScores(2, 1.0), [0.1])
     with pytest.raises(RowError, match="weights"):
         JackknifeEstimate(rls, BlockScores(2, 1.0)).combination(np.eye(3))
+
+
+def test_motion_does_not_contradict_a_rest_of_noise_alone(rng):
+    """2,000 rows at rest whose column is noise of 0.1 say that the parameter is zero, give or take 0.02; it is 3."""
+    made = RecursiveLeastSquares(1, 0, 1.0)
+    made.rls.prior(np.zeros(1), np.array([[100.0]]))
+    rest, moving = 0.1 * rng.normal(size=2000), 1.0 + 0.1 * rng.normal(size=50)
+    sigma, noise = np.full(2000, np.hypot(0.1, 0.3)), np.full((2000, 1, 1), 0.1)
+    made.add(0.01 * np.arange(2000), rest[:, None], 0.1 * rng.normal(size=2000), sigma, noise=noise)
+    y = np.full(50, 3.0)
+    asked = moving[:, None], y, sigma[:50]
+    plain, spread = made.rls.innovation(*asked)
+    assert np.median(plain / spread) > 8.0
+    corrected, wider = made.innovation(*asked)
+    assert np.abs(corrected / wider).max() < 3.0

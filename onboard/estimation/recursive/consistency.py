@@ -260,8 +260,9 @@ class JackknifeEstimate:
         self.floored = True
         self._scale = scale
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
-        self.mean, plain, T, R, noise, x, keep, signal, A0, shared = _corrected(rls, blocks)
-        self._root = T * np.where(signal, 1.0 / keep, 1.0 / np.sqrt(keep))  # formal covariance = root root'
+        corrected = _corrected(rls, blocks)
+        self.mean, plain, T, R, noise, x, keep, signal, A0, shared = corrected
+        self._root = corrected.root
         causes = R @ plain.sensitivity  # (p, k)
         causes = (causes * sigma if sigma.ndim == 1 else causes @ sigma).T
         causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
@@ -410,6 +411,11 @@ class _Corrected(NamedTuple):
     prior: FloatArray  # (p, p) information
     shared: FloatArray  # (p,) noise that both sides share
 
+    @property
+    def root(self) -> FloatArray:
+        """Root of the formal covariance, (p, p)."""
+        return self.T * np.where(self.signal, 1.0 / self.keep, 1.0 / np.sqrt(self.keep))
+
 
 def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
     plain, R = rls.solve(), rls.information_root
@@ -429,6 +435,18 @@ def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
 def corrected_mean(rls: SquareRootRls, blocks: BlockScores) -> FloatArray:
     """The mean of :class:`JackknifeEstimate`, (p,), without its intervals."""
     return _corrected(rls, blocks).mean
+
+
+def innovation(
+    rls: SquareRootRls, blocks: BlockScores, Y: FloatArray, y: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """As :meth:`SquareRootRls.innovation`, against the mean of :class:`JackknifeEstimate`.
+
+    Rows at rest, of noise alone, seem to say that what multiplies it is zero: motion would contradict them.
+    """
+    corrected = _corrected(rls, blocks)
+    spread = Y @ corrected.root
+    return y - Y @ corrected.mean, np.sqrt(sigma**2 + (spread * spread).sum(axis=1))
 
 
 def half_of(matrix: FloatArray) -> FloatArray:

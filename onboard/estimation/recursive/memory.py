@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import RowError
-from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, corrected_mean
+from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, corrected_mean, innovation
 from onboard.estimation.recursive.rls import RlsState, SquareRootRls, merged
 
 
@@ -246,6 +246,10 @@ class RecursiveLeastSquares:
         self.rls.update(rows, shared, np.ones(len(rows)), none)
         self.blocks.expect_noise()
         self._without_noise = True
+
+    def innovation(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As :meth:`SquareRootRls.innovation`, against :meth:`least_squares`."""
+        return innovation(self.rls, self.blocks, Y, y, sigma)
 
     def least_squares(self) -> FloatArray:
         """Least squares estimate corrected for known regressor noise, (p,): the mean that intervals are about."""

@@ -245,7 +245,7 @@ class Identifier:
             doubt = changes[group][use]  # (r, s, p + 1)
             effect = (doubt @ [*mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
-        innovation, spread = self.rls.innovation(rows, y, sigma)
+        innovation, spread = self.recursion.innovation(rows, y, sigma)
         verdict = self.gate.check(innovation, spread)
         kept = verdict == 0
         sigma = sigma * (widening := self.gate.widening(innovation, spread))
