@@ -312,9 +312,8 @@ class Identifier:
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self._physical
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            gains = np.array(
-                [cause.effect in ("scale", "held_scale") for cause in self.considered], np.bool_
-            )  # what is tested
+            tested = "scale", "held_scale"
+            gains = np.array([cause.effect in tested for cause in self.considered], np.bool_)
             beside = np.where(gains, 0.0, self.taken.considered)[: self.seen.considered]
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, beside), self.considered)
         return self._fitted[1]
