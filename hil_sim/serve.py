@@ -67,7 +67,7 @@ class _WiresPort(Port):
 
     @property
     def files(self) -> list[int]:
-        return [file.fileno() for file in self._socket.files]
+        return [self._socket.fileno()]
 
     @property
     def due_ns(self) -> int:

@@ -7,6 +7,7 @@ serialised.
 
 import contextlib
 import errno
+import select
 import socket
 import struct
 from collections import deque
@@ -45,46 +46,58 @@ class I2cSocket:
         self._listener.setblocking(False)
         self._listener.bind(str(path))
         self._listener.listen()
-        self._clients: list[_Client] = []
+        self._readable = select.epoll()  # a turn of the loop asks it, and not each socket
+        self._readable.register(self._listener, select.EPOLLIN)
+        self._clients: dict[int, _Client] = {}
         self._free_ns = 0
 
+    def fileno(self) -> int:
+        """Readable when any of its sockets is."""
+        return self._readable.fileno()
+
     @property
-    def files(self) -> list[socket.socket]:
-        """Sockets that wake the loop when they become readable."""
-        return [self._listener, *(client.connection for client in self._clients)]
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
 
     @property
     def due_ns(self) -> int:
         """When the next reply is to be sent."""
-        return min((client.replies[0][0] for client in self._clients if client.replies), default=NEVER)
+        return min((client.replies[0][0] for client in self._clients.values() if client.replies), default=NEVER)
 
     def advance(self, now_ns: int) -> None:
         """Process requests and send the replies that are due."""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                connection, _ = self._listener.accept()
-                connection.setblocking(False)
-                self._clients.append(_Client(connection))
-        for client in tuple(self._clients):
+        ready = dict(self._readable.poll(0))
+        if self._listener.fileno() in ready:
+            self._accept()
+            ready = dict(self._readable.poll(0))
+        for file, client in tuple(self._clients.items()):
             try:
-                self._receive(client, now_ns)
+                if file in ready:
+                    self._receive(client, now_ns)
                 while client.replies and client.replies[0][0] <= now_ns:
                     client.connection.sendall(client.replies.popleft()[1])
             except (ConnectionError, BlockingIOError):  # closed, or does not read its replies
                 client.connection.close()
-                self._clients.remove(client)
+                del self._clients[file]
 
     def close(self) -> None:
         """Close everything."""
-        for file in self.files:
+        self._readable.close()
+        for file in (self._listener, *(client.connection for client in self._clients.values())):
             file.close()
         self._clients.clear()
 
+    def _accept(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                connection, _ = self._listener.accept()
+                connection.setblocking(False)
+                self._readable.register(connection, select.EPOLLIN)
+                self._clients[connection.fileno()] = _Client(connection)
+
     def _receive(self, client: _Client, now_ns: int) -> None:
-        try:
-            data = client.connection.recv(65536)
-        except BlockingIOError:
-            return
+        data = client.connection.recv(65536)
         if not data:
             raise ConnectionResetError
         client.input += data
