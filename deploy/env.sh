@@ -71,6 +71,23 @@ heft_pip() {
         heft_die 75 'the installation broke off (see above). Run the same command again; what is there already is kept.'
 }
 
+# Installs the packages of a lock, every other one beside the rest: unpacking them keeps a core busy for a minute. In a
+# subshell, for what is in a script's background hears no Ctrl-C: it is ended with it.
+heft_locked() (
+    heft_parts=$(mktemp -d) && trap 'rm -rf "$heft_parts"' EXIT
+    trap 'kill $heft_pids 2>/dev/null; exit 130' INT TERM HUP
+    awk -v to="$heft_parts/part." '/^[^ #]/ { n++ } { print > (to n % 2) }' "$root/deploy/$1"
+    shift
+    heft_pids=
+    for heft_part in 0 1; do
+        heft_pip "$@" --no-deps --require-hashes --only-binary :all: -r "$heft_parts/part.$heft_part" &
+        heft_pids="$heft_pids $!"
+    done
+    heft_code=0
+    for heft_pid in $heft_pids; do wait "$heft_pid" || heft_code=$?; done
+    exit "$heft_code"
+)
+
 # Installs ziglang, a C compiler for this processor and others, into .venv.
 heft_zig() {
     heft_pip --no-deps --require-hashes --only-binary :all: -r "$root/deploy/requirements-compiler.lock"
@@ -98,7 +115,8 @@ heft_env() {
     fi
     printf 'heft: installing into %s, once (%s)\n' "$heft_venv" "$heft_size" >&2
     rm -f "$heft_venv/heft-hil" "$heft_venv/heft-test"
-    heft_pip $heft_compile --no-deps --require-hashes --only-binary :all: -r "$root/deploy/$heft_lock"
+    # shellcheck disable=SC2086  # none or one option
+    heft_locked "$heft_lock" $heft_compile || exit
     heft_compiler || heft_zig
     heft_pip --quiet --no-deps --no-index --no-build-isolation --editable "$root"
     for heft_grant in $heft_grants; do

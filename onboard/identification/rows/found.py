@@ -25,11 +25,12 @@ class _Judged(Protocol):
     quantities: tuple[Quantity, ...]
     considered: tuple[Considered, ...]
     memory: Memory
-    suspects: RowSuspects | None
     payload: GraspedPayload | None
     rows_used: int
     refused: dict[GateReason, int]
 
+    @property
+    def suspects(self) -> RowSuspects | None: ...
     @property
     def taken(self) -> Taken: ...
     @property

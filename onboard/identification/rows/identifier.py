@@ -114,7 +114,7 @@ class Identifier:
         self.memory = memory
         self.whitening = whitening
         self._recorded_apart = recorded_apart and memory == FOR_EVER
-        self.suspects = suspects
+        self._bank = suspects
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -180,6 +180,13 @@ class Identifier:
         return ()
 
     @property
+    def suspects(self) -> RowSuspects | None:
+        """What is weighed, where the answer is by it: scales are estimated, or it explains rows that contradict."""
+        if self._bank is None or self._scales:
+            return self._bank
+        return self._bank if self._contradicted and self._bank.explains else None
+
+    @property
     def rls(self) -> SquareRootRls:
         """The recursive least squares."""
         return self.recursion.rls
@@ -215,8 +222,8 @@ class Identifier:
         self.innovation = np.full((n, m), np.nan)
         for first in range(0, n, self.batch_ticks):
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
-        if self.suspects is not None:
-            self.suspects.weigh(self.rls.solve().mean, self.correlation, self.seen)
+        if self._bank is not None and (self._scales or self._contradicted):
+            self._bank.weigh(self.rls.solve().mean, self.correlation, self.seen)
         count_refused(self.refused, found)
         return found
 
@@ -252,8 +259,8 @@ class Identifier:
         which, column = np.nonzero(use)
         reasons[ticks[which], column] |= verdict
         self.innovation[at[which], column] = innovation / spread
-        if self.suspects is not None:
-            self.suspects.take(signals, at, attached[at], use, sigma)
+        if self._bank is not None:
+            self._bank.take(signals, at, attached[at], use, sigma)
         if not kept.any():
             return
         use[use] = kept
@@ -364,7 +371,9 @@ class Identifier:
         if self._instruments is not None:
             return self.recursion.block_jackknife(sigma)
         made = JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, scale=fitted and fitted.noise)
-        answer = None if exact or self.suspects is None else self.suspects.answer
+        if exact or self.suspects is None:
+            return made
+        answer = self.suspects.answer if self._scales else self.suspects.moved(made.mean, made.covariance)
         return made if answer is None else made.instead(answer)
 
     def bounds(self) -> FloatArray:
@@ -383,6 +392,11 @@ class Identifier:
     def stated_estimate(self) -> Estimate:
         """The same with 95 % intervals of the stated errors alone: no suspected step, no scale off the drawing."""
         return self._estimate(False)
+
+    @property
+    def _contradicted(self) -> str:
+        """Why no answer is to be used: rows that contradict the others; empty where few do."""
+        return contradicted_text(self._share(GateReason.RESIDUAL))
 
     def _share(self, reason: GateReason) -> float:
         """Of the rows, but for those left out for other reasons, that was left out for this one."""
@@ -408,7 +422,7 @@ class Identifier:
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:
-            why = "" if self.suspects else contradicted_text(self._share(GateReason.RESIDUAL))
+            why = "" if self.suspects else self._contradicted
             why, saturated = why or self.contradiction(jackknife), self._share(GateReason.SATURATED)
             quantities += self.payload.quantities(jackknife, prior, unstated, why, saturated)
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)

@@ -134,7 +134,7 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
 def row_suspects(
     vehicle: config.Vehicle, model: RowModel, base: BaseParameters, prior: FloatArray, considered: Sequence[Considered]
 ) -> RowSuspects | None:
-    """What may not be as stated of an arm on a fixed base whose cells' scales are estimated; None of another.
+    """What may not be as stated of an arm on a fixed base without motors of unknown friction; None of another.
 
     Args:
         vehicle: its file.
@@ -145,6 +145,6 @@ def row_suspects(
     """
     settings = vehicle.file.estimation
     forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
-    if model.vehicle.spec.base.moves or not model.scales or model.motors or forgets or settings.carried:
+    if model.vehicle.spec.base.moves or model.motors or forgets or settings.carried:
         return None
     return RowSuspects(model, base, prior, considered)

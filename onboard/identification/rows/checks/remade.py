@@ -6,7 +6,8 @@ accelerations are first corrected for errors of the encoders, and readings for t
     q' = (q - zero) / (1 + scale) + delay dq + delay^2 ddq / 2,    reading = (1 + gain) (Y(q', dq', ddq') chi + bias)
 
 with the specific force turned by how far the base is from level, and the wrench by how far the cells are turned in
-their mount. Derivatives by errors of motion are differences.
+their mount. A gain is a base parameter or, where it is not estimated, an error. Derivatives by errors of motion are
+differences.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +24,7 @@ from onboard.regressor.rows import BaseMotion, RowModel
 _STEP = 1e-6  # rad, relative or s, of a difference
 STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next
 OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "level")
-OF_READING = ("delay", "drift", "step", "turned")
+OF_READING = ("scale", "delay", "drift", "step", "turned")
 
 
 class RemadeRows(NamedTuple):
@@ -50,6 +51,7 @@ class RowsRemade:
         self._gains = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         self._known, self._independent = np.where(base.grouping.any(axis=0), 0.0, model.chi), base.independent
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], self._known]))
+        self._scaled = {k: names.index(one.row) for k, one in enumerate(errors) if one.effect == "scale"}
         self._turned = {k: turned(model, one) for k, one in enumerate(errors) if one.effect == "turned"}
 
     def at(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray) -> RemadeRows:
@@ -64,6 +66,8 @@ class RowsRemade:
         gain = np.ones(mixed.shape)
         for row, column in self._gains:
             gain[:, row] += beta[column]
+        for k, row in self._scaled.items():
+            gain[:, row] += errors[k]
         steps = np.ones_like(gain)
         for k, later in self._later(len(gain)):
             steps[:, self._row[k]] += errors[k] * later
@@ -71,6 +75,8 @@ class RowsRemade:
         slope[..., : self._p] = (gain * steps)[..., None] * (mix @ without)
         for row, column in self._gains:
             slope[:, row, column] = steps[:, row] * mixed[:, row]
+        for k, row in self._scaled.items():
+            slope[:, row, self._p + k] = steps[:, row] * mixed[:, row]
         for k, change in zip(moving, self._changes(ticks, beta, errors, moving), strict=True):
             slope[..., self._p + k] = gain * steps * (change @ mix.T)
         for k, T in self._turned.items():

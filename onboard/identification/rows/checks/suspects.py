@@ -40,7 +40,7 @@ from onboard.estimation.policy import (
     sigmas,
 )
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
-from onboard.identification.evidence.bank import Bank, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Hypothesis, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
@@ -66,11 +66,13 @@ _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
 
 def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Considered, ...]:
     """All errors of instruments that compete: those stated, and those of which nothing is stated, with a tiny sigma."""
-    stated = [one for one in considered if one.sigma > 0.0 and one.effect in (*OF_MOTION, *OF_READING)]
+    stated = [one for one in considered if one.sigma > 0.0 and one.row and one.effect in (*OF_MOTION, *OF_READING)]
     known = {(one.row, one.effect) for one in stated}
     asked: list[tuple[str, Effect, float, int | None]]
     asked = [(joint.name, effect, size, None) for joint in model.vehicle.joints for effect, _, size in _OF_ENCODER]
     asked += [(row.name, "delay", LIKELY_DELAY_s, None) for row in model.rows]
+    estimated = [row for row, _ in model.scales]
+    asked += [(row.name, "scale", LIKELY_SIZE, None) for k, row in enumerate(model.rows) if k not in estimated]
     asked += [(row.name, "step", LIKELY_SIZE, place) for row in model.rows for place in range(STEPS)]
     for axis in range(3):
         asked.append((model.vehicle.spec.base_link, "level", LIKELY_SIZE, axis))
@@ -106,7 +108,8 @@ class RowSuspects:
         half = base.grouping @ prior_root
         self._active = np.flatnonzero(half.any(axis=0))
         self._half, self._centre = half[:, self._active], base.value(model.chi)  # beta = centre + half z
-        self._sigma, self._own = np.array([one.sigma for one in self._errors]), np.diag(prior_root)[self._active]
+        self._sigma = np.array([one.sigma for one in self._errors])
+        self._each = np.concatenate([np.diag(prior_root)[self._active], self._sigma])
         every = [*self._links(model, prior_root), *self._instruments(model)]
         suspects = [one for one in every if np.abs(one.along).max() < 1.0 / ROUNDING]  # else exact
         self._bank = Bank(suspects, np.ones(len(self._active) + len(self._errors)))
@@ -116,6 +119,11 @@ class RowSuspects:
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
+
+    @property
+    def explains(self) -> bool:
+        """Whether something is likelier wrong than all as stated, and little is left over if it is."""
+        return self.weighed is not None and bool(self.weighed.names) and not self.judged()[0]
 
     def judged(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Reasons to refuse all estimates, and to doubt them."""
@@ -129,6 +137,19 @@ class RowSuspects:
                 said = f"{share:.0%} of what {name} reads is left over"
                 (against if share > MOST_UNEXPLAINED else doubts).append(said)
         return tuple(against), tuple(doubts)
+
+    def moved(self, mean: FloatArray, covariance: FloatArray) -> Mixture:
+        """An estimate of all rows as stated, with what each hypothesis that counts does to it.
+
+        Noise of the motion makes an estimate by kept ticks too small, under each hypothesis alike: how far two of these
+        are apart is little off, where the noise in the columns is small beside what is left over.
+
+        Args:
+            mean: base parameters, (p,).
+            covariance: of these, (p, p).
+        """
+        assert self.weighed is not None
+        return self.weighed.mixed(lambda one: self._moved(one, mean, covariance))
 
     def take(self, signals: Signals, at: IndexArray, attached: BoolArray, use: BoolArray, sigma: FloatArray) -> None:
         """Takes the rows of ticks in, those too that the recursion's residual gate refuses.
@@ -183,6 +204,14 @@ class RowSuspects:
         own = slice(0, n)
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
+
+    def _moved(self, one: Hypothesis, mean: FloatArray, covariance: FloatArray) -> Known:
+        """An estimate as stated, with what a hypothesis does to it."""
+        if self.weighed is None or one.suspect is None:
+            return mean, covariance
+        shift, root = self.weighed.effect(one, slice(0, len(self._active)))
+        root = self._half @ root
+        return mean + self._half @ shift, covariance + root @ root.T
 
     def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
         """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""
@@ -287,15 +316,17 @@ class RowSuspects:
         yield from self._cells(model)
 
     def _cells(self, model: RowModel) -> Iterator[Suspect]:
-        names = [model.rows[row].name for row, _ in model.scales]
-        scales = [self._place([column]) for _, column in model.scales]
+        names, columns = [row.name for row in model.rows], dict(model.scales)
+        scales = [
+            self._place([columns[k]]) if k in columns else self._places(name, "scale") for k, name in enumerate(names)
+        ]
         odds = 1.0 / len(names)
         for name, scale in zip(names, scales, strict=True):
             yield self._scaled(name, scale, ODDS * odds)
             yield self._alone(name, self._places(name, "delay"), LIKELY_DELAY_s, ODDS_OF_PART * odds)
             for place in self._places(name, "step"):
                 yield self._alone(f"a step of {name}", place[None], LIKELY_SIZE, ODDS * odds / STEPS)
-        forces = np.array([any(model.rows[row].projection[:3]) for row, _ in model.scales])
+        forces = np.array([any(row.projection[:3]) for row in model.rows])
         groups = {"all forces": forces, "all moments": ~forces} if 0 < forces.sum() < len(forces) else {}
         for name, some in {**groups, "all cells": np.full(len(forces), True)}.items():
             which = np.flatnonzero(some)
@@ -315,7 +346,7 @@ class RowSuspects:
 
     def _scaled(self, name: str, at: IndexArray, odds: float) -> Suspect:
         """Scales of cells, by one factor."""
-        return Suspect(name, at, LIKELY_SIZE / self._own[at, None], odds)
+        return Suspect(name, at, LIKELY_SIZE / self._each[at, None], odds)
 
     def _alone(self, name: str, at: IndexArray, size: float, odds: float, together: bool = False) -> Suspect:
         """Errors of instruments, each by itself or all by one value."""
