@@ -107,12 +107,24 @@ class _At(NamedTuple):
 
     state: Linearisation
     made: FloatArray  # (6, 9) readings by the elements of R'
-    J: FloatArray  # (6, 45, 9)
+    J: FloatArray  # (45, 6, 9)
     values: FloatArray  # (45,)
 
     @classmethod
     def of(cls, state: Linearisation, prior: Priors) -> "_At":
         return cls(state, *linearised(state, prior), values_of(state))
+
+
+class _Found(NamedTuple):
+    """The most likely state with a noise, and what a :class:`PoseFit` is made of."""
+
+    at: _At
+    covariance: FloatArray  # (45, 45)
+    noise: Noise
+    left: FloatArray  # (n - 1, 6)
+    spread: FloatArray  # (n - 1, 6) variances of these
+    sigmas: FloatArray  # (45,) of the unknowns beforehand
+    volume: float  # logarithm of the covariance's root determinant
 
 
 class Weighing(NamedTuple):
@@ -162,15 +174,17 @@ def _rounds(own: _Readings, prior: Priors, rounds: int, begin: PoseFit | None) -
         noise = Noise(np.maximum(sigma, own.floor), np.zeros(6), prior.scale)
     else:
         state, noise = begin.state, begin.noise
-    one, at = _fit(own, prior, _At.of(state, prior), noise)
+    found = _fit(own, prior, _At.of(state, prior), noise)
     for _ in range(rounds):
-        hanging = at.J.transpose(0, 2, 1) @ one.covariance @ at.J  # (6, 9, 9)
-        noise = _noise(one, ((own.turned @ hanging) * own.turned).sum(axis=-1).T, prior, own.floor)
-        change = float(np.abs(np.log(noise.sigma / one.noise.sigma)).max())
-        one, at = _fit(own, prior, at, noise)
+        J = found.at.J.transpose(1, 0, 2)  # (6, 45, 9)
+        hanging = J.transpose(0, 2, 1) @ found.covariance @ J  # (6, 9, 9)
+        hanging = ((own.turned @ hanging) * own.turned).sum(axis=-1).T
+        noise = _noise(found, hanging, prior, own.floor)
+        change = float(np.abs(np.log(noise.sigma / found.noise.sigma)).max())
+        found = _fit(own, prior, found.at, noise)
         if change < _CLOSE:
             break
-    return one
+    return _finished(own, prior, found)
 
 
 def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> Weighing:
@@ -191,7 +205,7 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> W
             each = np.where(odd, SPREADS[-1], spread)
             its = prior._replace(spreads=tuple(each.tolist()))
             if one is first and spread <= 1.0:
-                made, _ = _fit(own, its, _At.of(first.state, prior), first.noise)
+                made = _finished(own, its, _fit(own, its, _At.of(first.state, prior), first.noise))
             else:
                 one = made = _rounds(own, its, _ROUNDS, one)
             every.append((made, each, float(likely + odds)))
@@ -256,7 +270,7 @@ def zeros(one: PoseFit, J: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     """
     n = len(one.residual)
     own = coefficients(J)
-    weights, variance, inflated = _walks(one, ((own @ one.covariance) * own).sum(axis=-1))
+    weights, variance, inflated = _walks(one.left, one.noise, ((own @ one.covariance) * own).sum(axis=-1))
     zero_share = 1.0 - 1.0 / inflated  # of a coefficient that is the zero's
     share = np.concatenate([np.ones((len(_WALKS), 1)), zero_share], axis=1)
     smooth = dct(one.residual, axis=0, norm="ortho")
@@ -339,7 +353,7 @@ def variances(noise: Noise, n: int) -> FloatArray:
     return np.asarray(noise.sigma**2 + noise.walk**2 / _eigenvalues(n)[:, None], np.float64)
 
 
-def _fit(own: _Readings, prior: Priors, at: _At, noise: Noise) -> tuple[PoseFit, _At]:
+def _fit(own: _Readings, prior: Priors, at: _At, noise: Noise) -> _Found:
     """Gauss-Newton to the most likely state with a given noise."""
     spread, sigmas = variances(noise, len(own.R)), _sigmas(own.largest, prior, noise.cross)
     information = sigmas**-2.0
@@ -347,48 +361,57 @@ def _fit(own: _Readings, prior: Priors, at: _At, noise: Noise) -> tuple[PoseFit,
     # The normal equations' sums over the poses, before the loop: readings are linear in R'.
     S = (turned.T[None] / spread.T[:, None]) @ turned  # (6, 9, 9)
     b = (turned.T @ (own.read / spread)).T  # (6, 9)
+    weighted = np.empty((UNKNOWNS, 6, 9))
     for _ in range(_ROUNDS):
-        A = at.J.transpose(1, 0, 2).reshape(UNKNOWNS, 54)
-        H = (at.J @ S).transpose(1, 0, 2).reshape(UNKNOWNS, 54) @ A.T
+        A = at.J.reshape(UNKNOWNS, 54)
+        np.matmul(at.J.transpose(1, 0, 2), S, out=weighted.transpose(1, 0, 2))
+        H = weighted.reshape(UNKNOWNS, 54) @ A.T
         gradient = A @ (b - (S @ at.made[..., None])[..., 0]).ravel()
         H.flat[:: UNKNOWNS + 1] += information
         unit = 1.0 / np.sqrt(H.diagonal())  # of very different units
-        L, singular = lapack.dpotrf(H * unit * unit[:, None], lower=1)
+        H *= unit
+        H *= unit[:, None]
+        L, singular = lapack.dpotrf(H, lower=1)
         if singular:
             raise np.linalg.LinAlgError("the poses and what is known before leave an unknown open")
         whitened, _ = lapack.dtrtrs(L, unit * (gradient - at.values * information), lower=1)
         at = _At.of(moved(at.state, unit * lapack.dtrtrs(L, whitened, lower=1, trans=1)[0]), prior)
         if np.abs(whitened).max() < _CLOSE:
             break
-    residual = own.wrench - own.elements @ at.made.T
-    left = own.read - own.turned @ at.made.T
-    squares = float((left**2 / spread).sum() + ((at.values / sigmas) ** 2).sum())
-    volume = float(np.log(unit / np.diag(L)).sum())
-    evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + volume
     root, _ = lapack.dtrtrs(L, np.diag(unit), lower=1)
-    return PoseFit(at.state, root.T @ root, noise, residual, left, evidence), at
+    volume = float(np.log(unit / np.diag(L)).sum())
+    return _Found(at, root.T @ root, noise, own.read - turned @ at.made.T, spread, sigmas, volume)
 
 
-def _noise(one: PoseFit, hanging: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
+def _finished(own: _Readings, prior: Priors, found: _Found) -> PoseFit:
+    """With what no further round asks for."""
+    at, left, spread, sigmas = found.at, found.left, found.spread, found.sigmas
+    residual = own.wrench - own.elements @ at.made.T
+    squares = float((left**2 / spread).sum() + ((at.values / sigmas) ** 2).sum())
+    evidence = -0.5 * (squares + float(np.log(spread).sum())) - float(np.log(sigmas).sum()) + found.volume
+    return PoseFit(at.state, found.covariance, found.noise, residual, left, evidence)
+
+
+def _noise(found: _Found, hanging: FloatArray, prior: Priors, floor: FloatArray) -> Noise:
     """One step of expectation maximisation: noise and walk of each axis, and cross-talk; as of :func:`_walks`."""
-    weights, variance, _ = _walks(one, hanging)
+    weights, variance, _ = _walks(found.left, found.noise, hanging)
     sigma = np.sqrt((weights * variance).sum(axis=0))
     walk = np.sqrt((weights * variance * _WALKS[:, None] ** 2).sum(axis=0))
     sigma = np.maximum(sigma, floor)
-    crossed = float((one.state.cross**2).sum() + np.trace(one.covariance[CROSS, CROSS]))
+    crossed = float((found.at.state.cross**2).sum() + np.trace(found.covariance[CROSS, CROSS]))
     cross = np.sqrt((prior.scale**2 + crossed) / (1.0 + 30.0))
     return Noise(sigma, walk, float(cross))
 
 
-def _walks(one: PoseFit, hanging: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _walks(left: FloatArray, noise: Noise, hanging: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Probability of each walk, variance with it, (walks, 6), and what it multiplies variances by, (walks, n - 1).
 
-    A walk that does not show may still be there, so all of them are kept. ``hanging``: variance of the residuals'
-    coefficients by that of the unknowns, (n - 1, 6).
+    A walk that does not show may still be there, so all of them are kept. ``left``: :func:`coefficients` of the
+    residuals, (n - 1, 6); ``hanging``: their variance by that of the unknowns, likewise.
     """
-    n = len(one.residual)
-    squares = one.left**2 + hanging
-    pooled = np.exp(np.repeat(np.log(one.noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
+    n = len(left) + 1
+    squares = left**2 + hanging
+    pooled = np.exp(np.repeat(np.log(noise.sigma).reshape(2, 3).mean(axis=1), 3)) ** 2
     inflated, lost, volume = _inflated(n)
     count = n - 1 + _POOLED
     variance = (np.einsum("ja,kj->ka", squares, lost) + _POOLED * pooled) / count

@@ -21,9 +21,9 @@ REACH_m = 0.05  # moment over force at a transducer's limits: 0.03 to 0.1 m of t
 _READING = np.concatenate([_AXES, _OFF // 3, 3 + _OFF // 3, np.repeat(_AXES, 3)])
 _TAKEN = np.concatenate([_AXES, _OFF % 3, 3 + _OFF % 3, np.tile([3, 4, 5], 3), np.tile([0, 1, 2], 3)])
 _TIMES = np.repeat([1.0, 1.0 / REACH_m, REACH_m], [18, 9, 9])
-_ORDER = np.argsort(6 * _READING + _TAKEN)  # by row and column of all that is taken, (6, 6)
-_WAYS = np.zeros((6, UNKNOWNS, 3, 4))  # of scales and cross-talk: what they do with d, by mass and first moment
-_WAYS[_READING, np.arange(SCALES.start, UNKNOWNS)] = (
+_ORDER = np.argsort(6 * _READING + _TAKEN).reshape(6, 6)  # by row and column of all that is taken
+_WAYS = np.zeros((UNKNOWNS, 6, 3, 4))  # of scales and cross-talk: what they do with d, by mass and first moment
+_WAYS[np.arange(SCALES.start, UNKNOWNS), _READING] = (
     np.concatenate([np.multiply.outer(_EYE, [1.0, 0.0, 0.0, 0.0]), np.insert(_HATS.transpose(1, 2, 0), 0, 0.0, axis=2)])
 )[_TAKEN] * _TIMES[:, None, None]
 _BY_BODY = _WAYS.reshape(-1, 4)
@@ -60,7 +60,7 @@ class Linearisation(NamedTuple):
     @property
     def levers(self) -> tuple[FloatArray, FloatArray]:
         """Readings by m d and by p x d, (6, 3) each: 1 + S + X, and X' with L."""
-        both = _AS_IS + (np.concatenate([self.scales, self.cross]) * _TIMES)[_ORDER].reshape(6, 6)
+        both = _AS_IS + (np.concatenate([self.scales, self.cross]) * _TIMES).take(_ORDER)
         return both[:, :3], both[:, 3:]
 
     @property
@@ -77,24 +77,24 @@ def predicted(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
 
 def jacobian(R: FloatArray, state: Linearisation, prior: Priors) -> FloatArray:
     """Of the readings by the unknowns, (n, 6, 45); mounting and tilt by small turns."""
-    by = linearised(state, prior)[1] @ elements(R).T  # (6, 45, n)
+    by = linearised(state, prior)[1].transpose(1, 0, 2) @ elements(R).T  # (6, 45, n)
     return np.asarray(np.moveaxis(by, -1, 0), np.float64)
 
 
 def linearised(state: Linearisation, prior: Priors) -> tuple[FloatArray, FloatArray]:
-    """:func:`predicted` and :func:`jacobian` by the elements of R', of which both are linear: (6, 9), (6, 45, 9)."""
+    """:func:`predicted` and :func:`jacobian` by the elements of R', of which both are linear: (6, 9), (45, 6, 9)."""
     level = _level(prior.gravity_m_s2)
     down = _tilted(state, level) @ prior.gravity_m_s2
     d = (state.mounting[:, :, None] * down).reshape(3, 9)  # gravity in sensor axes
     (of_weight, of_moment), p = state.levers, hat(state.first_moment)
     A = state.mass * of_weight + of_moment @ p
-    by = (_BY_BODY @ [state.mass, *state.first_moment]).reshape(6, UNKNOWNS, 3)  # by d
-    by[:, 0] = of_weight
-    by[:, FIRST_MOMENT] = (of_moment @ _HATS).transpose(1, 0, 2)  # p x d = -d x p
-    by[:, MOUNTING] = (A @ _HATS).transpose(1, 0, 2)
-    J = by @ d
-    tilts = -(A @ state.mounting)[:, None, :, None] * (hat(down) @ level).T[:, None]  # (6, 2, 3, 3)
-    J[:, TILT] = tilts.reshape(6, 2, 9)
+    by = (_BY_BODY @ [state.mass, *state.first_moment.tolist()]).reshape(UNKNOWNS, 6, 3)  # by d
+    by[0] = of_weight
+    np.matmul(of_moment, _HATS, out=by[FIRST_MOMENT])  # p x d = -d x p
+    np.matmul(A, _HATS, out=by[MOUNTING])
+    J = (by.reshape(-1, 3) @ d).reshape(UNKNOWNS, 6, 9)
+    tilts = -(A @ state.mounting)[:, :, None] * (hat(down) @ level).T[:, None, None]  # (2, 6, 3, 3)
+    J[TILT] = tilts.reshape(2, 6, 9)
     return A @ d, J
 
 

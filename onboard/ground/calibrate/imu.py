@@ -158,15 +158,24 @@ def _require_one_frame(read: Readings, positions: list[_Position], bias: FloatAr
         part = read.within(LogSpan(before.span.end_s, after.span.start_s))
         if (before.up == after.up).all() or not read.usable[part].all():
             continue
-        u = before.up
-        for angle in (read.values[part, GYRO] - bias)[:-1] * np.diff(read.time_s[part])[:, None]:
-            u = u - np.cross(angle, u) + 0.5 * np.cross(angle, np.cross(angle, u))
+        u = _carried(before.up, (read.values[part, GYRO] - bias)[:-1] * np.diff(read.time_s[part])[:, None])
         off.append(float(u @ after.up / np.linalg.norm(u)) < _CARRIED)
     if any(off):
         raise CalibrationError(
             "from face to face the gyro turns another way than the accelerometer: their axes are no right-handed "
             "frame; check signs and order of the axes"
         )
+
+
+def _carried(u: FloatArray, angles: FloatArray) -> FloatArray:
+    """A direction (3,) in axes that turn by small angles (n, 3), one after the other; in Python, as three numbers."""
+    x, y, z = u.tolist()
+    for a, b, c in angles.tolist():
+        p, q, r = b * z - c * y, c * x - a * z, a * y - b * x  # angle x u
+        x = x - p + 0.5 * (b * r - c * q)
+        y = y - q + 0.5 * (c * p - a * r)
+        z = z - r + 0.5 * (a * q - b * p)
+    return np.array([x, y, z], np.float64)
 
 
 def _turns(read: Readings, positions: list[_Position], turn_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -68,7 +68,9 @@ def _document(figure: Figure) -> dict[str, Any]:
         shared[axes] = plot.x_range
         _legend(plot, axes)
         plots.append(plot)
-        document.add_root(plot)
+    with document.models.freeze():  # else all models are looked for anew with each plot
+        for plot in plots:
+            document.add_root(plot)
     wide = len({round(axes.get_position().x0, 3) for axes, _ in _panels(figure)}) == 1
     found: dict[str, Any] = {
         "columns": 1 if wide else 2,

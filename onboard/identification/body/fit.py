@@ -54,6 +54,13 @@ class BodyFit(NamedTuple):
         return self.found.fit.x[: self.found.globals]
 
 
+class Begun(NamedTuple):
+    """The first steps of a fit, for which all pulses open the valves."""
+
+    windows: PoseWindows
+    fit: Fit
+
+
 class BodyModel:
     """Predicts the tracked pose of a body without joints.
 
@@ -118,8 +125,19 @@ class BodyModel:
         mass_kg, centre_m, inertia = self._drawn
         return mass_kg * float(np.exp(x[0])), centre_m + x[1:3], inertia * float(np.exp(x[3]))
 
-    def fit(
+    def begun(
         self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
+    ) -> Begun:
+        """How :meth:`fit` begins, which has the arguments and the errors."""
+        windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
+        return Begun(windows, self._descend(windows, 0.0, self._begun(windows), NEAR_MINIMUM, _LOOKS)[0])
+
+    def fit(
+        self,
+        poses: TrackedPoses,
+        known_s: tuple[float, float],
+        unknown: Sequence[tuple[float, float]] = (),
+        first: Begun | None = None,
     ) -> BodyFit:
         """The unknowns that explain the poses best.
 
@@ -127,12 +145,12 @@ class BodyModel:
             poses: in the order of their times.
             known_s: from when to when the commands are known.
             unknown: times between them in which they are not.
+            first: :meth:`begun` of the same, where it is known.
 
         Raises:
             EstimationError: too few poses, or no minimum.
         """
-        windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
-        begun, least_s = self._descend(windows, 0.0, self._begun(windows), NEAR_MINIMUM, _LOOKS)[0], 0.0
+        (windows, begun), least_s = first or self.begun(poses, known_s, unknown), 0.0
         for tried_s in self._leasts():
             other, _ = self._descend(windows, tried_s, begun.x, NEAR_MINIMUM, _LOOKS)
             if other.residual_sum > MISFIT_REFUSED * begun.residual_sum:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import Bodies, Frames, chain_motion, motions_of, wrench_columns
+from onboard.dynamics.kinematics import Bodies, Frames, LinkMotion, chain_motion, motions_of, wrench_columns
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
@@ -93,6 +93,14 @@ class _Weighed(NamedTuple):
         return score(self.left, self.way.mistakes)
 
 
+class _Links(NamedTuple):
+    """Motion of the links, and what hangs on it alone."""
+
+    frames: Frames
+    payload: LinkMotion
+    of_zero: FloatArray  # (n, 6, 3) wrench by the accelerometer's zero, where nothing is held
+
+
 class _Recording:
     """Some ticks of a recording, and what each way to read it leaves of them."""
 
@@ -108,7 +116,7 @@ class _Recording:
         self.ticks = len(some)
         self._imu, self._noise = (BaseSignals(*(one[some] for one in of)) for of in (imu, noise))
         self._joints = ticks.q[some], ticks.dq[some], ticks.ddq[some]
-        self._links: tuple[tuple[object, ...], Frames] | None = None
+        self._links: tuple[tuple[object, ...], _Links] | None = None
         self._known = vehicle.chi.copy()
         self._known[vehicle.payload_columns()] = 0.0
         self._by_noise = np.zeros(2)  # of the stated ones: forces, moments
@@ -126,11 +134,12 @@ class _Recording:
             rounds: of Gauss-Newton: the accelerometer's zero acts on the payload's mass, too.
         """
         links, base = self._links_of(way), self._base(self._imu, way)
-        chi, zero, left = self._known.copy(), np.zeros(3), np.inf
-        for _ in range(rounds):
+        of_zero, chi, zero, left = links.of_zero, self._known.copy(), np.zeros(3), np.inf
+        for at in range(rounds):
+            if at:
+                of_zero = _of_zero(links.frames, chi)
             moved = base._replace(specific_force=base.specific_force - zero)
             Y, y = self._rows(links, moved)
-            of_zero = -Bodies.of(links, chi).composite[:, :, :3]
             size = _sizes(y, of_zero)
             if not min(size) > 0.0:
                 return np.inf
@@ -153,30 +162,41 @@ class _Recording:
         """Share of the squares that the IMU's noise makes, of forces and of moments, (2,)."""
         links = self._links_of(way)
         imu = BaseSignals(*(one + noise for one, noise in zip(self._imu, self._noise, strict=True)))
-        y, noisy = (self._rows(links, self._base(one, way))[1] for one in (self._imu, imu))
-        size = _sizes(y, Bodies.of(links, self._known).composite[:, :, :3])
+        y, noisy = (self._known_wrench(links, self._base(one, way)) for one in (self._imu, imu))
+        size = _sizes(y, -links.of_zero)
         over = (noisy - y) ** 2
         return np.array([over[:, :3].sum(), over[:, 3:].sum()]) / np.where(size > 0.0, size, np.inf)
 
-    def _rows(self, links: Frames, base: BaseSignals) -> tuple[FloatArray, FloatArray]:
+    def _rows(self, links: _Links, base: BaseSignals) -> tuple[FloatArray, FloatArray]:
         """As :func:`onboard.regressor.free_rows.zero_wrench_rows`, by the motion of the links."""
-        twist = np.hstack([np.zeros_like(base.rate), base.rate])
-        bodies = Bodies.of(links, self._known, twist, np.hstack([base.specific_force, base.acceleration]))
-        held = self._vehicle.payload_columns().start // 10
-        [payload] = motions_of(Frames(*(part[:, held : held + 1] for part in links)))
-        Y = wrench_columns(payload, base.rate, base.specific_force, base.acceleration)
-        return Y, -bodies.sums(np.ones((1, links.p.shape[1]))).wrench[:, 0]
+        Y = wrench_columns(links.payload, base.rate, base.specific_force, base.acceleration)
+        return Y, self._known_wrench(links, base)
 
-    def _links_of(self, way: FlightReading) -> Frames:
+    def _known_wrench(self, links: _Links, base: BaseSignals) -> FloatArray:
+        """What moves the known links, (n, 6), the other way."""
+        twist = np.hstack([np.zeros_like(base.rate), base.rate])
+        thrust = np.hstack([base.specific_force, base.acceleration])
+        bodies = Bodies.of(links.frames, self._known, twist, thrust)
+        return -bodies.sums(np.ones((1, links.frames.p.shape[1]))).wrench[:, 0]
+
+    def _links_of(self, way: FlightReading) -> _Links:
         key = (way.angles.order, *way.angles.factor.tolist(), *way.angles.shift_rad.tolist())
         if self._links is None or self._links[0] != key:
-            self._links = key, chain_motion(self._vehicle, *way.angles.joints(*self._joints)).links
+            frames = chain_motion(self._vehicle, *way.angles.joints(*self._joints)).links
+            held = self._vehicle.payload_columns().start // 10
+            [payload] = motions_of(Frames(*(part[:, held : held + 1] for part in frames)))
+            self._links = key, _Links(frames, payload, _of_zero(frames, self._known))
         return self._links[1]
 
     def _base(self, imu: BaseSignals, way: FlightReading) -> BaseSignals:
         rate, acceleration, force = imu
         read = BaseSignals(rate @ way.gyro.T, acceleration @ way.gyro.T, force @ way.accelerometer.T)
         return base_of(self._vehicle, self._frame, read)
+
+
+def _of_zero(links: Frames, chi: FloatArray) -> FloatArray:
+    """Wrench on all links by the accelerometer's zero, (n, 6, 3)."""
+    return -Bodies.of(links, chi).composite[:, :, :3]
 
 
 def _sizes(y: FloatArray, of_zero: FloatArray) -> FloatArray:

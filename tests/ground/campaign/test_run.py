@@ -265,8 +265,7 @@ def test_scheduler_and_client_are_killed_and_every_flight_is_there_once(tmp_path
             client.wait()
             assert done() < len(expected)
             for more in ((), ("--retry",)):
-                with running(scratch, *told, *more) as again:
-                    assert again.wait(LONGEST_S) == cli.FAILED
+                assert cli.main([*told[2:], *more]) == cli.FAILED
     assert results(out) == expected
     assert len(expected) == 11
     assert flown.read_text().split().count("12") == 2

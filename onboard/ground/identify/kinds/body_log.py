@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
 
 import numpy as np
 from scipy.special import stdtrit
@@ -50,12 +51,8 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     names = (*model.names[:BODY], "delay")
     refused = {"jumped_and_back": lost} if lost else {}
     fit, failure = None, contradicted_text(lost / len(poses.time_s), "poses", "the tracker loses the body")
-    failure = failure or _misread(model, poses, known_s, unknown)
     if not failure:
-        try:
-            fit = model.fit(poses, known_s, unknown)
-        except EstimationError as error:
-            failure = f"the fit failed: {error}"
+        fit, failure = _fitted(model, poses, known_s, unknown)
     if fit is None:
         nothing = Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure)
         return Identified(
@@ -199,16 +196,38 @@ def _answers(
     return tuple(answers), dict(zip(names, causes.budget(effects, scale * sigma), strict=True))
 
 
-def _misread(
+def _fitted(
     model: BodyModel, poses: TrackedPoses, known_s: tuple[float, float], unknown: list[tuple[float, float]]
-) -> str:
-    """As what a recording is to be read so that nothing refuses it, if that leaves much less; else empty."""
+) -> tuple[BodyFit | None, str]:
+    """The fit as stated; or as what the recording is to be read so that nothing refuses it, if that leaves much less.
+
+    A first guess of a recording as stated may leave more than one of another reading. Where the first steps of the fits
+    leave less as stated, that fit comes first, and is the answer where nothing refuses it.
+    """
+    begun = None
+    with suppress(EstimationError):  # said by the fit
+        begun = model.begun(poses, known_s, unknown)
+
+    @cache
+    def as_stated() -> BodyFit | EstimationError:
+        try:
+            return model.fit(poses, known_s, unknown, begun)
+        except EstimationError as error:
+            return error
+
     with suppress(EstimationError):  # of poses: said by the fit
         for other in others(model, poses, known_s, unknown):
             with suppress(EstimationError):
-                if not _findings(other.model, other.model.fit(other.poses, known_s, unknown)).against:
-                    return f"the poses are as predicted if {' and '.join(other.said)}: correct the mapping, or the URDF"
-    return ""
+                first = other.model.begun(other.poses, known_s, unknown)
+                if begun is not None and begun.fit.residual_sum < first.fit.residual_sum:
+                    fit = as_stated()
+                    if isinstance(fit, BodyFit) and not _findings(model, fit).against:
+                        return fit, ""
+                if not _findings(other.model, other.model.fit(other.poses, known_s, unknown, first)).against:
+                    said = " and ".join(other.said)
+                    return None, f"the poses are as predicted if {said}: correct the mapping, or the URDF"
+    fit = as_stated()
+    return (fit, "") if isinstance(fit, BodyFit) else (None, f"the fit failed: {fit}")
 
 
 def _findings(model: BodyModel, fit: BodyFit) -> Findings:
