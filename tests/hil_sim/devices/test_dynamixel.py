@@ -3,6 +3,7 @@
 import math
 import struct
 
+import numpy as np
 import pytest
 
 from hil_sim.buses.serial_bus import SerialBus
@@ -128,6 +129,26 @@ def test_fast_sync_read_of_the_manual(monkeypatch, positions, return_delay, step
 
 
 # Packets
+
+
+def test_no_packet_ends_before_it_has_what_it_lacks():
+    """Packets, their beginnings, and noise in which headers are: what it does, it does at a character foreseen."""
+    rng, one = np.random.default_rng(4), servo()
+    one.act(START_NS)
+    due_ns, now_ns, ended, allowed = one.due_ns, START_NS, 0, 0
+    for _ in range(2000):
+        whole = packet("02 84 00 04 00", int(rng.integers(3)))
+        noise = bytes(rng.choice([0xFF, 0xFD, 0, 1, 3], 4).tolist())
+        for byte in (whole, whole[: rng.integers(len(whole))], noise, whole[:4])[rng.integers(4)]:
+            lacks, now_ns = one.lacks, now_ns + 10_000
+            assert lacks >= 1
+            allowed = max(allowed - 1, lacks)
+            one.receive(byte, now_ns)
+            if one.due_ns != due_ns:
+                assert allowed == lacks == 1
+                one.act(one.due_ns)
+                ended, due_ns = ended + 1, one.due_ns
+    assert ended > 100
 
 
 def test_when_it_answers():
