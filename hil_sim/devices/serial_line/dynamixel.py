@@ -35,7 +35,7 @@ from typing import Final
 import numpy as np
 
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import Heard, LineFormat
 from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
 
@@ -178,6 +178,17 @@ class DynamixelTwin(SerialTwin):
         if len(frame) < _HEAD_BYTES:
             return _HEAD_BYTES - len(frame)
         return _HEAD_BYTES + int.from_bytes(frame[5:7], "little") - len(frame)
+
+    def gather(self, characters: list[Heard]) -> None:
+        """As :meth:`receive` of each: none of them ends a packet."""
+        frame, last_ns = self._frame + bytes([one.byte for one in characters]), characters[-1].end_ns
+        listens = not self._is_faulty and characters[0].end_ns >= self._ready_ns
+        on_time = last_ns <= self._byte_ns + _LONGEST_PAUSE_NS
+        if listens and on_time and _HEADER.startswith(frame[:4]) and frame[6:7] < _TOO_LONG:
+            self._frame, self._byte_ns = frame, last_ns
+            return
+        for one in characters:
+            self.receive(one.byte, one.end_ns)
 
     def _on_byte(self, byte: int, now_ns: int) -> None:
         if now_ns < self._ready_ns:
