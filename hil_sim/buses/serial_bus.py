@@ -250,7 +250,7 @@ class SerialBus:
     def _go_on(self, now_ns: int) -> None:
         each: list[Arrived] = []
         for until_ns in self._steps(now_ns):
-            each += [wire.advance(until_ns) for wire in self._wires]
+            each += [arrived for wire in self._wires if (arrived := wire.advance(until_ns)).data]
             self._overhear()
         arrived = each[0] if len(each) == 1 else _joined(sorted(one for other in each for one in other.characters()))
         self._now_ns = now_ns

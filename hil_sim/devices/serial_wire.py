@@ -9,7 +9,7 @@ error are passed on as they are, which is what a Linux tty in raw mode does.
 from bisect import bisect_right
 from collections import deque
 from functools import lru_cache
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from hil_sim.faults import NEVER
 
@@ -65,6 +65,18 @@ class SerialStation(Protocol):
 
     def receive(self, byte: int, now_ns: int) -> None:
         """A character has ended."""
+
+
+@runtime_checkable
+class HearsPackets(Protocol):
+    """A station to which single characters are nothing, but whole messages."""
+
+    @property
+    def lacks(self) -> int:
+        """Characters, at least, that it has to receive before it does anything for them; one or more."""
+
+    def gather(self, characters: "list[Heard]") -> None:
+        """Receive characters, fewer than it lacks, before anything else is due."""
 
 
 class Heard(NamedTuple):
@@ -151,6 +163,7 @@ class SerialWire:
     def __init__(self, device: SerialStation) -> None:
         self.host: LineFormat | None = None  # the host's port while it is open
         self._device = device
+        self._hears = device if isinstance(device, HearsPackets) else None
         self._to_device: deque[Heard] = deque()
         self._to_host_ns: list[int] = []  # when each character under way to the host is received
         self._to_host = bytearray()
@@ -165,8 +178,9 @@ class SerialWire:
 
     @property
     def acts_ns(self) -> int:
-        """When something next happens in the device, or reaches it."""
-        return min(self._device.due_ns, self._to_device[0].end_ns if self._to_device else NEVER)
+        """When something next happens in the device, or reaches it for which it may do something."""
+        last = 1 if self._hears is None or not self._to_device else self._hears.lacks
+        return min(self._device.due_ns, self._to_device[last - 1].end_ns if len(self._to_device) >= last else NEVER)
 
     def send(self, data: bytes, ready_ns: int) -> None:
         """Send characters of the host, not before ``ready_ns``; a closed port sends nothing."""
@@ -184,7 +198,7 @@ class SerialWire:
 
     def advance(self, now_ns: int) -> Arrived:
         """Let everything happen that is due at ``now_ns``; returns what the host's UART received."""
-        inbox, device = self._to_device, self._device
+        inbox, device, hears = self._to_device, self._device, self._hears
         while True:
             next_ns = inbox[0].end_ns if inbox else NEVER
             until_ns = min(next_ns, now_ns)
@@ -192,6 +206,10 @@ class SerialWire:
                 device.act(until_ns)
             if next_ns > now_ns:
                 break
+            few = 0 if hears is None else min(hears.lacks, len(inbox)) - 1
+            if hears is not None and few > 0 and inbox[few - 1].end_ns < min(device.due_ns, now_ns):
+                hears.gather([inbox.popleft() for _ in range(few)])
+                continue
             character = inbox.popleft()
             device.receive(character.byte, character.end_ns)
         arrived = bisect_right(self._to_host_ns, now_ns)

@@ -26,7 +26,7 @@ def written(directory: Path, *arguments: str) -> Path:
 @pytest.mark.parametrize("arm", [pytest.param("fixed cia402", marks=pytest.mark.campaign), "free dynamixel"])
 def test_the_file_as_written_flies_and_its_motion_is_made(arm: str, tmp_path: Path) -> None:
     path, log = written(tmp_path, *ARMS[arm]), tmp_path / "flight.mcap"
-    mission = world(path, None, 8, 24.0)
+    mission = world(path, None, 8, 22.0)  # a motion of 21 s
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(path).model_copy(update={"arm": True}), mission, urls, log)
     read = LogReader(log)

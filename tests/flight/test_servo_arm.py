@@ -72,8 +72,8 @@ def test_an_arm_that_hangs_in_gravity_tells_what_its_drives_and_payload_are(tmp_
 
 
 def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:
-    vehicle = written(tmp_path)
-    mission, log = world(vehicle, None, 8, SECONDS + 0.5, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
+    vehicle = written(tmp_path, 5.0)
+    mission, log = world(vehicle, None, 8, 7.0, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
     reader = LogReader(log)

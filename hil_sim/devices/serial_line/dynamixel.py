@@ -35,7 +35,7 @@ from typing import Final
 import numpy as np
 
 from hil_sim.devices.serial_line.serial_twin import SerialTwin
-from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import Heard, LineFormat
 from hil_sim.faults import ENCODER_KINDS, NO_FAULTS, DeviceFaults, FaultKind, FaultyScalar
 from hil_sim.sensing.analog import ScalarAnalog
 
@@ -62,6 +62,8 @@ _VELOCITY_RAD_S: Final = 0.229 * math.tau / 60.0
 _HEAT, _OVERLOAD = 0x04, 0x20
 _BOOT_NS: Final = 400_000_000
 _LONGEST_BYTES, _LONGEST_PAUSE_NS = 512, 100_000_000
+_HEAD_BYTES: Final = 7  # of a packet: header, ID, length
+_TOO_LONG: Final = bytes([_LONGEST_BYTES >> 8])  # higher byte of a length
 
 
 def crc(data: bytes) -> bytes:
@@ -169,6 +171,25 @@ class DynamixelTwin(SerialTwin):
 
     # Packets
 
+    @property
+    def lacks(self) -> int:
+        """Characters, at least, to the end of a packet."""
+        frame = self._frame
+        if len(frame) < _HEAD_BYTES:
+            return _HEAD_BYTES - len(frame)
+        return _HEAD_BYTES + int.from_bytes(frame[5:7], "little") - len(frame)
+
+    def gather(self, characters: list[Heard]) -> None:
+        """As :meth:`receive` of each: none of them ends a packet."""
+        frame, last_ns = self._frame + bytes([one.byte for one in characters]), characters[-1].end_ns
+        listens = not self._is_faulty and characters[0].end_ns >= self._ready_ns
+        on_time = last_ns <= self._byte_ns + _LONGEST_PAUSE_NS
+        if listens and on_time and _HEADER.startswith(frame[:4]) and frame[6:7] < _TOO_LONG:
+            self._frame, self._byte_ns = frame, last_ns
+            return
+        for one in characters:
+            self.receive(one.byte, one.end_ns)
+
     def _on_byte(self, byte: int, now_ns: int) -> None:
         if now_ns < self._ready_ns:
             return
@@ -177,9 +198,10 @@ class DynamixelTwin(SerialTwin):
             frame.clear()
         self._byte_ns = now_ns
         frame.append(byte)
-        while frame and not (_HEADER.startswith(frame[:4]) and frame[6:7] < bytes([_LONGEST_BYTES >> 8])):
-            del frame[0]
-        if len(frame) < 7 or len(frame) < 7 + int.from_bytes(frame[5:7], "little"):
+        if len(frame) <= _HEAD_BYTES:  # of a longer one it has been looked at
+            while frame and not (_HEADER.startswith(frame[:4]) and frame[6:7] < _TOO_LONG):
+                del frame[0]
+        if len(frame) < _HEAD_BYTES or len(frame) < _HEAD_BYTES + int.from_bytes(frame[5:7], "little"):
             return
         packet = bytes(frame)
         frame.clear()

@@ -13,6 +13,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, count_refused, none_refused
 from onboard.estimation.policy import HALF, contradicted_text
+from onboard.estimation.recursive import jackknives
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
@@ -107,12 +108,10 @@ class Identifier:
     ) -> None:
         rows = [row.name for row in model.rows]
         check(considered, model)
-        self.model = model
-        self.base = base
+        self.model, self.base = model, base
         self.quantities = tuple(quantities)
         self.considered = tuple(considered)
-        self.memory = memory
-        self.whitening = whitening
+        self.memory, self.whitening = memory, whitening
         self._recorded_apart = recorded_apart and memory == FOR_EVER
         self._bank = suspects
         p = len(base.names)
@@ -364,17 +363,20 @@ class Identifier:
 
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
+        made = jackknives.last(self, exact, self._block_jackknife)
+        if exact or self.suspects is None or self._instruments is not None:
+            return made
+        answer = self.suspects.answer if self._scales else self.suspects.moved(made.mean, made.covariance)
+        return made if answer is None else made.instead(answer)
+
+    def _block_jackknife(self, exact: bool) -> JackknifeEstimate:
         taken = self.taken
         self.errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
         if self._instruments is not None:
             return self.recursion.block_jackknife(sigma)
-        made = JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, scale=fitted and fitted.noise)
-        if exact or self.suspects is None:
-            return made
-        answer = self.suspects.answer if self._scales else self.suspects.moved(made.mean, made.covariance)
-        return made if answer is None else made.instead(answer)
+        return JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, scale=fitted and fitted.noise)
 
     def bounds(self) -> FloatArray:
         """Sigma of each base parameter and quantity at the stated noise alone (Cramer-Rao), (p + quantities,)."""

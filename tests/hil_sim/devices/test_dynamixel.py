@@ -3,12 +3,13 @@
 import math
 import struct
 
+import numpy as np
 import pytest
 
 from hil_sim.buses.serial_bus import SerialBus
 from hil_sim.buses.serial_port import VirtualSerial
 from hil_sim.devices.serial_line.dynamixel import DynamixelTwin, asks, crc
-from hil_sim.devices.serial_wire import LineFormat
+from hil_sim.devices.serial_wire import Heard, LineFormat
 from hil_sim.faults import Fault, FaultError, FaultPlan
 from tests.hil_sim.devices.serial_bench import Line
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog
@@ -128,6 +129,49 @@ def test_fast_sync_read_of_the_manual(monkeypatch, positions, return_delay, step
 
 
 # Packets
+
+
+def test_no_packet_ends_before_it_has_what_it_lacks():
+    """Packets, their beginnings, and noise in which headers are: what it does, it does at a character foreseen."""
+    rng, one = np.random.default_rng(4), servo()
+    one.act(START_NS)
+    due_ns, now_ns, ended, allowed = one.due_ns, START_NS, 0, 0
+    for _ in range(2000):
+        whole = packet("02 84 00 04 00", int(rng.integers(3)))
+        noise = bytes(rng.choice([0xFF, 0xFD, 0, 1, 3], 4).tolist())
+        for byte in (whole, whole[: rng.integers(len(whole))], noise, whole[:4])[rng.integers(4)]:
+            lacks, now_ns = one.lacks, now_ns + 10_000
+            assert lacks >= 1
+            allowed = max(allowed - 1, lacks)
+            one.receive(byte, now_ns)
+            if one.due_ns != due_ns:
+                assert allowed == lacks == 1
+                one.act(one.due_ns)
+                ended, due_ns = ended + 1, one.due_ns
+    assert ended > 100
+
+
+def test_what_is_gathered_is_what_is_received_one_by_one():
+    """Packets, parts of them and noise, with pauses, to one without a fault, or off or silent for a while."""
+    rng = np.random.default_rng(5)
+    for faults in ((), (Fault("off", "servo", 0.1, 0.7),), (Fault("silent", "servo", 0.0, 0.7),)):
+        one, other = servo(0.0, 0.0, *faults), servo(0.0, 0.0, *faults)
+        now_ns = START_NS - 1_000_000  # it is not on yet
+        for _ in range(500):
+            for twin in (one, other):
+                twin.act(now_ns)
+            whole = packet("02 84 00 04 00", int(rng.integers(3)))
+            data = (whole, whole[: rng.integers(1, len(whole))], b"\xff\xff", bytes(3))[rng.integers(4)]
+            heard = [Heard(now_ns + k, byte) for k, byte in enumerate(data)]
+            fewer = heard[: one.lacks - 1]
+            if fewer:
+                one.gather(fewer)
+            else:
+                one.receive(data[0], now_ns)
+            for character in fewer or heard[:1]:
+                other.receive(character.byte, character.end_ns)
+            assert (one.lacks, one.due_ns, one.memory) == (other.lacks, other.due_ns, other.memory)
+            now_ns += int(rng.choice([10_000, 3_000_000, 150_000_000], p=[0.8, 0.18, 0.02]))
 
 
 def test_when_it_answers():
