@@ -95,14 +95,15 @@ def sigmas(chance: float) -> float:
     return float(-ndtri(0.5 * chance))
 
 
-def contradicted_text(share: float, of: str = "rows", then: str = "check the sensors against each other") -> str:
+def contradicted_text(share: float, of: str = "rows", then: str = "") -> str:
     """Why no answer is to be used where such a share of readings contradicts the others; empty where few do.
 
     Args:
         share: of the readings, 0 to 1.
         of: what readings are called.
-        then: what to do about it, or what it looks like.
+        then: what to do about it, or what it looks like; to check the sensors, where not given.
     """
+    then = then or "check the sensors against each other"
     return f"{share:.0%} of the {of} contradict the others; {then}" if share > MOST_CONTRADICTED else ""
 
 

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.gates import GateReason
-from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.identification.corrections import doubtful, too_large
@@ -25,12 +23,11 @@ class _Judged(Protocol):
     quantities: tuple[Quantity, ...]
     considered: tuple[Considered, ...]
     memory: Memory
+    suspects: RowSuspects | None
     payload: GraspedPayload | None
-    rows_used: int
-    refused: dict[GateReason, int]
 
     @property
-    def suspects(self) -> RowSuspects | None: ...
+    def contradicted(self) -> str: ...
     @property
     def taken(self) -> Taken: ...
     @property
@@ -46,9 +43,8 @@ class _Judged(Protocol):
 def found(of: _Judged) -> Findings:
     """Reasons to refuse all estimates of an identifier or to weaken them, and remarks that go with any level."""
     said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
-    share = (residual := of.refused[GateReason.RESIDUAL]) / max(of.rows_used + residual, 1)
-    if of.suspects is None and (contradicted := contradicted_text(share)):
-        against.append(contradicted)
+    if of.suspects is None and of.contradicted:
+        against.append(of.contradicted)
     if of.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
         return Findings(tuple(against), ())
     jackknife = of.block_jackknife()

@@ -68,7 +68,8 @@ class Identifier:
             scales that are not estimated, it is taken as wide as the rows ask
             (:mod:`onboard.identification.rows.stated_errors.stated`).
         recorded_apart: rows with the payload and those without are of different recordings.
-        suspects: weighs what may not be as stated; nothing is, where not given.
+        suspects: weighs what may not be as stated; nothing is, where not given. The answer is theirs where scales are
+            estimated; elsewhere they name what explains rows that contradict each other.
 
     Attributes:
         recursion: of the rows.
@@ -109,11 +110,10 @@ class Identifier:
         rows = [row.name for row in model.rows]
         check(considered, model)
         self.model, self.base = model, base
-        self.quantities = tuple(quantities)
-        self.considered = tuple(considered)
+        self.quantities, self.considered = tuple(quantities), tuple(considered)
         self.memory, self.whitening = memory, whitening
         self._recorded_apart = recorded_apart and memory == FOR_EVER
-        self._bank = suspects
+        self._bank, self.suspects = suspects, suspects if model.scales else None
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -179,13 +179,6 @@ class Identifier:
         return ()
 
     @property
-    def suspects(self) -> RowSuspects | None:
-        """What is weighed, where the answer is by it: scales are estimated, or it explains rows that contradict."""
-        if self._bank is None or self._scales:
-            return self._bank
-        return self._bank if self._contradicted and self._bank.explains else None
-
-    @property
     def rls(self) -> SquareRootRls:
         """The recursive least squares."""
         return self.recursion.rls
@@ -221,9 +214,9 @@ class Identifier:
         self.innovation = np.full((n, m), np.nan)
         for first in range(0, n, self.batch_ticks):
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
-        if self._bank is not None and (self._scales or self._contradicted):
-            self._bank.weigh(self.rls.solve().mean, self.correlation, self.seen)
         count_refused(self.refused, found)
+        if self._bank is not None and (self._scales or self.contradicted):
+            self._bank.weigh(self.rls.solve().mean, self.correlation, self.seen)
         return found
 
     def finish(self) -> None:
@@ -364,9 +357,7 @@ class Identifier:
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         made = jackknives.last(self, exact, self._block_jackknife)
-        if exact or self.suspects is None or self._instruments is not None:
-            return made
-        answer = self.suspects.answer if self._scales else self.suspects.moved(made.mean, made.covariance)
+        answer = None if exact or self.suspects is None or self._instruments is not None else self.suspects.answer
         return made if answer is None else made.instead(answer)
 
     def _block_jackknife(self, exact: bool) -> JackknifeEstimate:
@@ -396,9 +387,9 @@ class Identifier:
         return self._estimate(False)
 
     @property
-    def _contradicted(self) -> str:
-        """Why no answer is to be used: rows that contradict the others; empty where few do."""
-        return contradicted_text(self._share(GateReason.RESIDUAL))
+    def contradicted(self) -> str:
+        """Why no answer is to be used: rows that contradict the others, and what explains them; empty where few do."""
+        return contradicted_text(self._share(GateReason.RESIDUAL), then=self._bank.explanation if self._bank else "")
 
     def _share(self, reason: GateReason) -> float:
         """Of the rows, but for those left out for other reasons, that was left out for this one."""
@@ -424,8 +415,7 @@ class Identifier:
             for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
         ]
         if self.payload:
-            why = "" if self.suspects else self._contradicted
-            why, saturated = why or self.contradiction(jackknife), self._share(GateReason.SATURATED)
-            quantities += self.payload.quantities(jackknife, prior, unstated, why, saturated)
+            why = (not self.suspects and self.contradicted) or self.contradiction(jackknife)
+            quantities += self.payload.quantities(jackknife, prior, unstated, why, self._share(GateReason.SATURATED))
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
         return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))

@@ -40,7 +40,7 @@ from onboard.estimation.policy import (
     sigmas,
 )
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
-from onboard.identification.evidence.bank import Bank, Hypothesis, Suspect, Weighed
+from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
@@ -121,9 +121,9 @@ class RowSuspects:
         self.answer: Mixture | None = None
 
     @property
-    def explains(self) -> bool:
-        """Whether something is likelier wrong than all as stated, and little is left over if it is."""
-        return self.weighed is not None and bool(self.weighed.names) and not self.judged()[0]
+    def explanation(self) -> str:
+        """What is likelier wrong than all as stated; empty where nothing is, or much is left over with it."""
+        return "" if self.weighed is None or self.judged()[0] else "".join(self.weighed.judged[1])
 
     def judged(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Reasons to refuse all estimates, and to doubt them."""
@@ -137,19 +137,6 @@ class RowSuspects:
                 said = f"{share:.0%} of what {name} reads is left over"
                 (against if share > MOST_UNEXPLAINED else doubts).append(said)
         return tuple(against), tuple(doubts)
-
-    def moved(self, mean: FloatArray, covariance: FloatArray) -> Mixture:
-        """An estimate of all rows as stated, with what each hypothesis that counts does to it.
-
-        Noise of the motion makes an estimate by kept ticks too small, under each hypothesis alike: how far two of these
-        are apart is little off, where the noise in the columns is small beside what is left over.
-
-        Args:
-            mean: base parameters, (p,).
-            covariance: of these, (p, p).
-        """
-        assert self.weighed is not None
-        return self.weighed.mixed(lambda one: self._moved(one, mean, covariance))
 
     def take(self, signals: Signals, at: IndexArray, attached: BoolArray, use: BoolArray, sigma: FloatArray) -> None:
         """Takes the rows of ticks in, those too that the recursion's residual gate refuses.
@@ -204,14 +191,6 @@ class RowSuspects:
         own = slice(0, n)
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
-
-    def _moved(self, one: Hypothesis, mean: FloatArray, covariance: FloatArray) -> Known:
-        """An estimate as stated, with what a hypothesis does to it."""
-        if self.weighed is None or one.suspect is None:
-            return mean, covariance
-        shift, root = self.weighed.effect(one, slice(0, len(self._active)))
-        root = self._half @ root
-        return mean + self._half @ shift, covariance + root @ root.T
 
     def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
         """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""

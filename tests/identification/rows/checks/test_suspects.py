@@ -1,5 +1,7 @@
 """An arm on a bench that is not as its file says: what is named, whether answers hold the truth; world by MuJoCo."""
 
+import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -30,18 +32,23 @@ HEAVY = Solid.box(5.0, (0.22, 0.08, 0.05), (0.02, 0.06, 0.01))
 AXES = [f"wrist_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
 ZEROS = tuple(Considered(f"zero of joint_{k}", f"joint_{k}", "joint_zero", 1e-4) for k in range(1, 6))
 
+SCALES = tuple(Considered(f"scale of {axis}", axis, "scale", 2.5e-3) for axis in AXES)
 
-def identifier(urdf=bench.URDF):
+
+def identifier(urdf=bench.URDF, stated=()):
+    """By cells whose scales are estimated, or where they are stated: these errors of theirs."""
     vehicle = VehicleModel(urdf, VehicleSpec(BaseKind.FIXED, "bench", "tool"))
-    model = RowModel(vehicle, bench.six_axes("wrist"))
+    rows = bench.six_axes("wrist")
+    model = RowModel(vehicle, [replace(row, scale=False) for row in rows] if stated else rows)
     links = dict.fromkeys(vehicle.links, 1.0) | {"gripper": 0.01}
     extras = {"M_tool": 5.0} | {f"{h}_tool": 1.0 for h in ("MX", "MY", "MZ")}
     extras |= {f"{i}_tool": 0.2 for i in ("XX", "XY", "YY", "XZ", "YZ", "ZZ")}
     extras |= {name: 5.0 if "force" in name else 0.5 for name in model.names if name.startswith("bias")}
     extras |= {name: 0.0025 for name in model.names if name.startswith("scale")}
     base, root = base_parameters(model, np.random.default_rng(0)), prior_root(model, links, extras)
-    weighs = RowSuspects(model, base, root, ZEROS)
-    return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=ZEROS, suspects=weighs)
+    errors = (*ZEROS, *stated)
+    weighs = RowSuspects(model, base, root, errors)
+    return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=errors, suspects=weighs)
 
 
 @cache
@@ -143,6 +150,17 @@ def test_an_arm_that_is_as_stated_is_believed(heavy):
     assert level(who) is Level.GOOD
     assert abs(off) < 3.0
     assert sigma < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [(read("wrist_force_y", 1.1), "wrist_force_y"), (read("wrist_moment_x", 0.9), "wrist_moment_x")],
+)
+def test_where_scales_are_stated_what_explains_rows_that_contradict_is_named(wrong, named):
+    who = identifier(stated=SCALES)
+    bench.feed(who, wrong(run()))
+    assert re.search(rf"% of the rows contradict the others; not as stated: {named}\b", who.findings().against[0])
+    assert not who.estimate().quantities[0].supported
 
 
 @pytest.mark.parametrize("what", WRONG)
