@@ -2,7 +2,8 @@
 
 The static drawing stays in the page: it is what is seen without scripts, on paper, and without the ``zoom`` extra.
 Colours are those of the roles in :mod:`onboard.ground.drawing.theme`; the page's script puts those of the screen in
-their place. Texts are plain text models, never mark-up or mathematics.
+their place. Texts are plain text models, never mark-up or mathematics. A glyph is added as one model: the plot's own
+methods make it five times, for selections that no figure has.
 """
 
 import base64
@@ -16,6 +17,8 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, PlainText, Range1d
 from bokeh.models.annotations import BoxAnnotation, Legend, LegendItem, Span, Title
 from bokeh.models.axes import LinearAxis
+from bokeh.models.glyphs import Line, MultiLine, Patches, Quad, Scatter
+from bokeh.models.glyphs import Text as Words
 from bokeh.plotting import figure as new_plot
 from bokeh.resources import Resources
 from matplotlib.axes import Axes
@@ -192,12 +195,17 @@ def _rectangle(plot: Any, axes: Any, one: Any) -> None:
         if top - bottom < 1.0:  # a strip along the edge
             low, high = axes.get_ylim()
             bottom, top = low + bottom * (high - low), low + top * (high - low)
-            plot.quad(left=[left], right=[left + width], bottom=[bottom], top=[top], line_color=None, **look)
+            _box(plot, left, left + width, bottom, top, look)
         else:
             plot.add_layout(BoxAnnotation(left=left, right=left + width, line_color=None, level="underlay", **look))
         return
     bottom, height = float(one.get_y()), float(one.get_height())
-    plot.quad(left=[left], right=[left + width], bottom=[bottom], top=[bottom + height], line_color=None, **look)
+    _box(plot, left, left + width, bottom, bottom + height, look)
+
+
+def _box(plot: Any, left: float, right: float, bottom: float, top: float, look: dict[str, Any]) -> None:
+    source = ColumnDataSource({"left": [left], "right": [right], "bottom": [bottom], "top": [top]})
+    plot.add_glyph(source, Quad(line_color=None, **look))
 
 
 def _blended(one: Any, axes: Axes) -> bool:
@@ -220,8 +228,8 @@ def _band(plot: Any, one: Any, y_range: str) -> None:
         corners = path.vertices[np.isfinite(path.vertices).all(axis=1)]
         xs.append(_small(corners[:, 0]))
         ys.append(_small(corners[:, 1]))
-    source = ColumnDataSource({"xs": xs, "ys": ys})
-    plot.patches("xs", "ys", source=source, fill_color=colour, fill_alpha=alpha, line_color=None, y_range_name=y_range)
+    glyph = Patches(fill_color=colour, fill_alpha=alpha, line_color=None)
+    plot.add_glyph(ColumnDataSource({"xs": xs, "ys": ys}), glyph, y_range_name=y_range)
 
 
 def _bars(plot: Any, one: Any, y_range: str) -> None:
@@ -229,7 +237,8 @@ def _bars(plot: Any, one: Any, y_range: str) -> None:
     for segment in one.get_segments():
         xs.append(_small(segment[:, 0]))
         ys.append(_small(segment[:, 1]))
-    plot.multi_line(xs, ys, line_color=to_hex(one.get_colors()[0]), y_range_name=y_range)
+    glyph = MultiLine(line_color=to_hex(one.get_colors()[0]))
+    plot.add_glyph(ColumnDataSource({"xs": xs, "ys": ys}), glyph, y_range_name=y_range)
 
 
 def _line(plot: Any, axes: Any, one: Any, y_range: str) -> None:
@@ -238,9 +247,9 @@ def _line(plot: Any, axes: Any, one: Any, y_range: str) -> None:
     dash, width = _DASH.get(one.get_linestyle(), "solid"), 1.3 * float(one.get_linewidth())
     if _blended(one, axes) and len(x) == 2 and one.get_linestyle() != "None":
         across = bool(x[0] != x[1])
-        place = Span(location=float(y[0] if across else x[0]), dimension="width" if across else "height",
-                     line_color=colour, line_dash=dash, line_width=width)  # fmt: skip
-        plot.add_layout(place)
+        span = Span(location=float(y[0] if across else x[0]), dimension="width" if across else "height",
+                    line_color=colour, line_dash=dash, line_width=width)  # fmt: skip
+        plot.add_layout(span)
         return
     if _blended(one, axes):
         low, high = axes.get_ylim()
@@ -252,13 +261,13 @@ def _line(plot: Any, axes: Any, one: Any, y_range: str) -> None:
         y = np.where(y > 0.0, y, np.nan)
     source = ColumnDataSource({"x": _small(x), "y": _small(y)})
     name = label if not label.startswith("_") else axes.get_title(loc="left")
-    look: dict[str, Any] = {"source": source, "y_range_name": y_range, "name": name or " "}
+    place = {"y_range_name": y_range, "name": name or " "}
     if one.get_linestyle() != "None":
-        plot.line("x", "y", line_color=colour, line_dash=dash, line_width=width, **look)
+        plot.add_glyph(source, Line(line_color=colour, line_dash=dash, line_width=width), **place)
     if one.get_marker() not in ("None", "", None):
         size = 1.4 * float(one.get_markersize())
         marker = "x" if one.get_marker() == "x" else "circle"
-        plot.scatter("x", "y", size=size, marker=marker, line_color=colour, fill_color=colour, **look)
+        plot.add_glyph(source, Scatter(size=size, marker=marker, line_color=colour, fill_color=colour), **place)
 
 
 def _text(plot: Any, axes: Any, one: Any) -> None:
@@ -269,8 +278,8 @@ def _text(plot: Any, axes: Any, one: Any) -> None:
     align = {"center": "center", "left": "left", "right": "right"}[str(one.get_horizontalalignment())]
     base = {"center": "middle", "top": "top"}.get(str(one.get_verticalalignment()), "bottom")
     source = ColumnDataSource({"x": [x], "y": [y], "text": [one.get_text()]})
-    plot.text("x", "y", "text", source=source, text_color=to_hex(one.get_color()), text_font_size="11px",
-              text_align=align, text_baseline=base)  # fmt: skip
+    plot.add_glyph(source, Words(text_color=to_hex(one.get_color()), text_font_size="11px", text_align=align,
+                                 text_baseline=base))  # fmt: skip
 
 
 def _legend(plot: Any, axes: Any) -> None:
