@@ -67,8 +67,11 @@ heft_compiler() {
 }
 
 heft_pip() {
-    "$heft_venv/bin/python" -m pip install --progress-bar off "$@" >&2 ||
-        heft_die 75 'the installation broke off (see above). Run the same command again; what is there already is kept.'
+    "$heft_venv/bin/python" -m pip install --progress-bar off "$@" >&2 || heft_pip_broke
+}
+
+heft_pip_broke() {
+    heft_die 75 'the installation broke off (see above). Run the same command again; what is there already is kept.'
 }
 
 # Installs the packages of a lock, every other one beside the rest: unpacking them keeps a core busy for a minute. In a
@@ -80,12 +83,13 @@ heft_locked() (
     shift
     heft_pids=
     for heft_part in 0 1; do
-        heft_pip "$@" --no-deps --require-hashes --only-binary :all: -r "$heft_parts/part.$heft_part" &
+        "$heft_venv/bin/python" -m pip install --progress-bar off "$@" --no-deps --require-hashes \
+            --only-binary :all: -r "$heft_parts/part.$heft_part" >&2 &
         heft_pids="$heft_pids $!"
     done
-    heft_code=0
-    for heft_pid in $heft_pids; do wait "$heft_pid" || heft_code=$?; done
-    exit "$heft_code"
+    heft_broken=
+    for heft_pid in $heft_pids; do wait "$heft_pid" || heft_broken=1; done
+    [ -z "$heft_broken" ] || heft_pip_broke
 )
 
 # Installs ziglang, a C compiler for this processor and others, into .venv.

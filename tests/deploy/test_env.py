@@ -6,16 +6,21 @@ PATH holds nothing but that Python and the few tools named here, so the scripts 
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import is_alive
+
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 TOOLS = (
     *("sh", "cat", "cut", "dirname", "rm", "mkdir", "cp", "chmod", "sha256sum"),
-    *("mktemp", "tee", "tail", "awk", "date", "timeout", "grep", "sort", "nice", "mkfifo"),
+    *("mktemp", "tee", "tail", "awk", "date", "timeout", "grep", "sort", "nice", "mkfifo", "sleep"),
 )
 UNAVAILABLE, TEMPORARY_FAILURE = 69, 75  # sysexits.h
 
@@ -40,7 +45,7 @@ case "$*" in
         echo "$*" >>"$CALLS"
         for last; do :; done
         case $last in */part.[01]) cat "$last" >"$CALLS.${last##*/}" ;; esac
-        case " $LACKS " in *' network '*) exit 1 ;; esac
+        case " $LACKS " in *' network '*) exit 1 ;; *' haste '*) echo $$ >>"$CALLS.pids"; exec sleep 60 ;; esac
         ;;
     "-m pytest -m $FAILS"*) echo "= 1 failed, 2 passed, 40 deselected in 1.50s ="; exit 1 ;;
     '-m pytest'*) echo "tested with $*"; echo "= 30 passed, 1 skipped, 3 deselected in 61.50s (0:01:01) =" ;;
@@ -83,20 +88,18 @@ class Machine:
         return subprocess.run(
             ["sh", str(self.checkout / "deploy" / script), *arguments],
             cwd=self.elsewhere,
-            env={
-                "PATH": str(self.bin),
-                "LACKS": lacks,
-                "FAILS": "nothing",
-                "CALLS": str(self.log),
-                "PYTHONPATH": "/opt/ros",
-                **environment,
-            },
+            env=self.environment(lacks) | environment,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
             timeout=30,
             check=False,
         )
+
+    def environment(self, lacks: str = "") -> dict[str, str]:
+        """Of a script."""
+        said = {"PATH": str(self.bin), "LACKS": lacks, "FAILS": "nothing", "CALLS": str(self.log)}
+        return {**said, "PYTHONPATH": "/opt/ros"}
 
     @property
     def calls(self) -> list[str]:
@@ -228,6 +231,21 @@ def test_an_installation_that_broke_off_is_taken_up_again(machine: Machine) -> N
     assert whole.returncode == 0
     assert "venv" not in machine.calls
     assert len(machine.calls) == 2
+
+
+def test_ctrl_c_ends_both_halves_of_an_installation(machine: Machine) -> None:
+    command, pids = ["sh", str(machine.checkout / "deploy/hil.sh")], machine.log.with_name("calls.pids")
+    with subprocess.Popen(command, env=machine.environment("haste"), start_new_session=True) as script:
+        until(lambda: pids.exists() and len(pids.read_text().split()) == 2)
+        os.killpg(script.pid, signal.SIGINT)
+    until(lambda: not any(is_alive(int(pid)) for pid in pids.read_text().split()))
+
+
+def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_a_broken_update_is_not_taken_for_what_was_there_before(machine: Machine) -> None:
