@@ -123,7 +123,10 @@ class RowSuspects:
     @property
     def explanation(self) -> str:
         """What is likelier wrong than all as stated; empty where nothing is, or much is left over with it."""
-        return "" if self.weighed is None or self.judged()[0] else "".join(self.weighed.judged[1])
+        if self.weighed is None:
+            return ""
+        too_far, named = self.weighed.judged
+        return "".join(too_far or named) if self.judged()[0] == too_far else ""
 
     def judged(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Reasons to refuse all estimates, and to doubt them."""
