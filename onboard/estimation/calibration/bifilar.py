@@ -190,36 +190,25 @@ def swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: b
     m, h, g, square = suspension.mass_kg, suspension.length_m, suspension.gravity_m_s2, suspension.spacing_m**2
     inertia, viscous, quadratic, angle, rate = x[:5].tolist()
 
-    half, quarter, all_h, least = 0.5 * square, 0.25 * square, h * h, 1e-6 * h * h
-    cos, sin, sqrt = math.cos, math.sin, math.sqrt
-
     def slope(state: FloatArray, _: float) -> tuple[float, ...]:
-        th, om = state.tolist()
-        cosine = cos(th)
-        root = sqrt(max(all_h - half * (1.0 - cosine), least))
-        dz = quarter * sin(th) / root
-        ddz = (quarter * cosine + dz * dz) / root
+        th, om, *lean = state.tolist()
+        cosine = math.cos(th)
+        root = math.sqrt(max(h * h - 0.5 * square * (1.0 - cosine), 1e-6 * h * h))
+        dz = 0.25 * square * math.sin(th) / root
+        ddz = (0.25 * square * cosine + dz * dz) / root
         drag = (quadratic * abs(om) + viscous) * om
-        m_dz = m * dz
-        return om, -(m_dz * (g + ddz * om * om) + inertia * drag) / (inertia + m_dz * dz)
-
-    def slopes(state: FloatArray, _: float) -> tuple[float, ...]:
-        th, om, a, da, b, db, c, dc, d, dd, e, de = state.tolist()
-        cosine, size = cos(th), abs(om)
-        root = sqrt(max(all_h - half * (1.0 - cosine), least))
-        dz = quarter * sin(th) / root
-        ddz = (quarter * cosine + dz * dz) / root
-        drag = (quadratic * size + viscous) * om
-        m_dz, falling = m * dz, g + ddz * om * om
-        whole = inertia + m_dz * dz
-        up = -(m_dz * falling + inertia * drag) / whole
+        whole = inertia + m * dz * dz
+        up = -(m * dz * (g + ddz * om * om) + inertia * drag) / whole
+        if not lean:
+            return om, up
         dddz = dz * (3.0 * ddz / root - 1.0)
-        by_th = -m * (ddz * falling + dz * dddz * om * om + 2.0 * dz * ddz * up) / whole
-        by_om = -(2.0 * m * dz * ddz * om + inertia * (2.0 * quadratic * size + viscous)) / whole
+        by_th = -m * (ddz * (g + ddz * om * om) + dz * dddz * om * om + 2.0 * dz * ddz * up) / whole
+        by_om = -(2.0 * m * dz * ddz * om + inertia * (2.0 * quadratic * abs(om) + viscous)) / whole
         by_inertia, by_viscous = -(drag + up) / whole, -inertia * om / whole
+        a, da, b, db, c, dc, d, dd, e, de = lean
         return (
             *(om, up, da, by_th * a + by_om * da + by_inertia, db, by_th * b + by_om * db + by_viscous),
-            *(dc, by_th * c + by_om * dc + by_viscous * size, dd, by_th * d + by_om * dd, de),
+            *(dc, by_th * c + by_om * dc + by_viscous * abs(om), dd, by_th * d + by_om * dd, de),
             by_th * e + by_om * de,
         )
 
@@ -227,7 +216,7 @@ def swung(x: FloatArray, span: FloatArray, suspension: Suspension, *, carried: b
     limit = SENSITIVITY if carried else INTEGRATION
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ODEintWarning)  # a step too far is refused for what it leaves over
-        return np.asarray(odeint(slopes if carried else slope, begin, span, rtol=limit, atol=0.1 * limit), np.float64)
+        return np.asarray(odeint(slope, begin, span, rtol=limit, atol=0.1 * limit), np.float64)
 
 
 def _colour(residual: FloatArray) -> float:

@@ -1,4 +1,6 @@
-"""Hypotheses of errors of an arm on a fixed base whose cells' scales are estimated, and the answer under each.
+"""Hypotheses of errors of an arm on a fixed base, and, where its cells' scales are estimated, the answer under each.
+
+Where scales are stated, hypotheses are weighed once rows contradict each other, and the likeliest are named.
 
 Of each link but the payload, mass and inertia, either, the centre of mass, or all ten parameters may be off, or the
 factor and the centre of mass (a part exchanged); of an encoder, or of all, the zero, the scale, the delay; of a cell,
@@ -13,9 +15,9 @@ Rows are smoothed, so neighbours are correlated: a kept tick stands for the tick
 more than are correlated. The noise of each row is the residual of the likeliest hypothesis, no smaller than stated;
 outliers have Huber's weights.
 
-The answer is the mixture of all that count, each with the mean and covariance that it has by these rows. It takes the
-place of the recursion's, whose gains multiply masses that were not known yet when their rows came. What noise of the
-regressor adds to the information of all rows is taken off that of those kept.
+Where scales are estimated the answer is the mixture of all that count, each with the mean and covariance that it has
+by these rows. It takes the place of the recursion's, whose gains multiply masses that were not known yet when their
+rows came. What noise of the regressor adds to the information of all rows is taken off that of those kept.
 """
 
 import math
