@@ -23,9 +23,10 @@ class _Judged(Protocol):
     quantities: tuple[Quantity, ...]
     considered: tuple[Considered, ...]
     memory: Memory
-    suspects: RowSuspects | None
     payload: GraspedPayload | None
 
+    @property
+    def suspects(self) -> RowSuspects | None: ...
     @property
     def contradicted(self) -> str: ...
     @property
@@ -42,7 +43,7 @@ class _Judged(Protocol):
 
 def found(of: _Judged) -> Findings:
     """Reasons to refuse all estimates of an identifier or to weaken them, and remarks that go with any level."""
-    said = against, doubts, told = list[str](), list[str](), list(of.taken.said)
+    said = against, doubts, told = list[str](), list[str](), [] if of.suspects else list(of.taken.said)
     if of.suspects is None and of.contradicted:
         against.append(of.contradicted)
     if of.memory != FOR_EVER:  # what was seen is of all times, the estimate is not

@@ -68,8 +68,7 @@ class Identifier:
             scales that are not estimated, it is taken as wide as the rows ask
             (:mod:`onboard.identification.rows.stated_errors.stated`).
         recorded_apart: rows with the payload and those without are of different recordings.
-        suspects: weighs what may not be as stated; nothing is, where not given. The answer is theirs where scales are
-            estimated; elsewhere they name what explains rows that contradict each other.
+        suspects: weighs what may not be as stated; nothing is, where not given.
 
     Attributes:
         recursion: of the rows.
@@ -113,7 +112,7 @@ class Identifier:
         self.quantities, self.considered = tuple(quantities), tuple(considered)
         self.memory, self.whitening = memory, whitening
         self._recorded_apart = recorded_apart and memory == FOR_EVER
-        self._bank, self.suspects = suspects, suspects if model.scales else None
+        self._bank = suspects
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
@@ -215,9 +214,14 @@ class Identifier:
         for first in range(0, n, self.batch_ticks):
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         count_refused(self.refused, found)
-        if self._bank is not None and (self._scales or self.contradicted):
-            self._bank.weigh(self.rls.solve().mean, self.correlation, self.seen)
+        if self._bank is not None:
+            self._bank.go_on(self, remade=bool(self._scales or self.contradicted))
         return found
+
+    @property
+    def suspects(self) -> RowSuspects | None:
+        """Those whose answer takes the place of the recursion's, if there are."""
+        return self._bank if self._bank and self._bank.answers(bool(self._scales), self.contradicted) else None
 
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""
@@ -311,8 +315,7 @@ class Identifier:
             plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self._physical
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            tested = "scale", "held_scale"
-            gains = np.array([cause.effect in tested for cause in self.considered], np.bool_)
+            gains = np.array([cause.effect in ("scale", "held_scale") for cause in self.considered], np.bool_)
             beside = np.where(gains, 0.0, self.taken.considered)[: self.seen.considered]
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, beside), self.considered)
         return self._fitted[1]
@@ -335,8 +338,7 @@ class Identifier:
 
     def unstated(self, jackknife: JackknifeEstimate) -> Unstated:
         """What errors that no key states do to the estimate: suspected steps, and scales off the drawing."""
-        fits = self.fits(jackknife.mean) if self.suspects is None else ()
-        steps = [one for fit in fits for one in fit.suspected]
+        steps = [] if self.suspects else [one for fit in self.fits(jackknife.mean) for one in fit.suspected]
         body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         return Unstated.of(steps, unstated(self.quantities, jackknife, self.seen, body, prior))
 
@@ -347,8 +349,8 @@ class Identifier:
             return None
         if self._corrected is None or self._corrected[0] != self.rows_used:
             mean = self.block_jackknife(exact=True).mean
-            left_over = prediction(self.seen, self.model, self.base, mean).relative_error
-            self._corrected = self.rows_used, self._corrections.fitted(*self.rls.prior_equations(), left_over, mean)
+            left = prediction(self.seen, self.model, self.base, mean).relative_error
+            self._corrected = self.rows_used, self._corrections.fitted(*self.rls.prior_equations(), left, mean)
         return self._corrected[1]
 
     def block_jackknife(self, exact: bool = False) -> JackknifeEstimate:
@@ -398,21 +400,20 @@ class Identifier:
     def _estimate(self, with_unstated: bool) -> Estimate:
         jackknife = self.block_jackknife()
         p, weights = len(self.base.names), self._weights
-        interval = jackknife.combination(weights)
-        prior = self.taken.covariance
+        interval, prior = jackknife.combination(weights), self.taken.covariance
         spread = np.sqrt((weights @ prior * weights).sum(axis=1))
         shrinkage = np.maximum(interval.sigma, np.sqrt(jackknife.formal_variance(weights))) / spread
         supported = (shrinkage <= SUPPORTED_SHRINKAGE) & (interval.degrees_of_freedom >= SUPPORTED_FREEDOM)
         supported &= self.suspects is None or not self.suspects.judged()[0]
-        causes = jackknife.causes(weights)
         unstated = self.unstated(jackknife) if with_unstated else Unstated.of([], np.zeros((0, p)))
         unsaid = unstated.sigma(weights)
         half = np.hypot(interval.high - interval.mean, HALF * unsaid)
         sigmas, lows, highs = np.hypot(interval.sigma, unsaid), interval.mean - half, interval.mean + half
         numbers = np.column_stack([interval.mean, sigmas, lows, highs, shrinkage])[p:]
+        each = zip(self.quantities, numbers, supported[p:], jackknife.causes(weights)[p:], strict=True)
         quantities = [
             answered(quantity, own, bool(fine), cause, self.considered, jackknife.mean)
-            for quantity, own, fine, cause in zip(self.quantities, numbers, supported[p:], causes[p:], strict=True)
+            for quantity, own, fine, cause in each
         ]
         if self.payload:
             why = (not self.suspects and self.contradicted) or self.contradiction(jackknife)

@@ -1,90 +1,74 @@
-"""Hypotheses of errors of an arm on a fixed base, and, where its cells' scales are estimated, the answer under each.
+"""Hypotheses of errors of an arm on a fixed base, and the answer under each.
 
-Where scales are stated, hypotheses are weighed once rows contradict each other, and the likeliest are named.
+Where its cells' scales are estimated, the answer is always theirs; where scales are stated, once something is likelier
+wrong, and explains all rows: with it no more is left over than is doubted of noise. Where a share of the rows
+contradicts the others there is no answer, and the likeliest hypotheses are named.
 
-Of each link but the payload, mass and inertia, either, the centre of mass, or all ten parameters may be off, or the
-factor and the centre of mass (a part exchanged); of an encoder, or of all, the zero, the scale, the delay; of a cell,
-of those of forces, of moments, or of all, the scale and the delay, and of a cell a step of its scale; the cells at a
-frame may be turned in their mount, the base not level. All compete with "as stated" in one bank
+All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with "as stated" in one bank
 (:mod:`onboard.identification.evidence.bank`), whose state is z: the errors of the prior, ``beta = beta_0 + G L z``, and
-those of instruments, each over its stated sigma. z is found by Gauss and Newton from rows of kept ticks that are made
-again about the likeliest hypothesis (:mod:`onboard.identification.rows.checks.remade`), since gains multiply masses
-and angles turn gravity.
+those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
+gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
+stated. Equations are, where scales are stated and rows agree, the sums over all rows
+(:mod:`onboard.identification.rows.checks.all_rows`), elsewhere rows of kept ticks that are made again
+(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
-more than are correlated. The noise of each row is the residual of the likeliest hypothesis, no smaller than stated;
-outliers have Huber's weights.
+more than are correlated. Outliers have Huber's weights.
 
-Where scales are estimated the answer is the mixture of all that count, each with the mean and covariance that it has
-by these rows. It takes the place of the recursion's, whose gains multiply masses that were not known yet when their
-rows came. What noise of the regressor adds to the information of all rows is taken off that of those kept.
+The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows. It
+takes the place of the recursion's: where scales are estimated, its gains multiply masses that were not known yet when
+their rows came. What noise of the regressor adds to the information of all rows is taken off that of those kept.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
     DOUBT,
-    LIKELY_SIZE,
     MISFIT_PART,
     MOST_SHARE,
     MOSTLY,
-    ODDS,
-    ODDS_OF_PART,
     READING,
-    LIKELY_DELAY_s,
     contradicted_text,
     sigmas,
 )
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
-from onboard.identification.evidence.bank import Bank, Suspect, Weighed
-from onboard.identification.evidence.bodies import ways
+from onboard.estimation.recursive.rls import SquareRootRls
+from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
+from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED, AllRows, explained
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
-from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS, RowsRemade
+from onboard.identification.rows.checks.remade import RowsRemade
+from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated_errors.considered import Considered, Effect, rate_of
+from onboard.identification.rows.stated_errors.considered import Considered, rate_of
+from onboard.identification.rows.stated_errors.stated import Taken
 from onboard.identification.windows import SHORTEST
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 from onboard.regressor.signals import Signals
 
-_UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
-_ROUNDS, _SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
 _HUBER, _FAR = sigmas(DOUBT), sigmas(READING)  # rows beyond weigh less (Huber 1964); contradict
 _TINY = float(np.finfo(np.float64).tiny)
-_OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
-    ("joint_zero", "zero", LIKELY_SIZE),
-    ("joint_scale", "scale", LIKELY_SIZE),
-    ("joint_delay", "delay", LIKELY_DELAY_s),
-)
 
 
-def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Considered, ...]:
-    """All errors of instruments that compete: those stated, and those of which nothing is stated, with a tiny sigma."""
-    stated = [one for one in considered if one.sigma > 0.0 and one.row and one.effect in (*OF_MOTION, *OF_READING)]
-    known = {(one.row, one.effect) for one in stated}
-    asked: list[tuple[str, Effect, float, int | None]]
-    asked = [(joint.name, effect, size, None) for joint in model.vehicle.joints for effect, _, size in _OF_ENCODER]
-    asked += [(row.name, "delay", LIKELY_DELAY_s, None) for row in model.rows]
-    estimated = [row for row, _ in model.scales]
-    asked += [(row.name, "scale", LIKELY_SIZE, None) for k, row in enumerate(model.rows) if k not in estimated]
-    asked += [(row.name, "step", LIKELY_SIZE, place) for row in model.rows for place in range(STEPS)]
-    for axis in range(3):
-        asked.append((model.vehicle.spec.base_link, "level", LIKELY_SIZE, axis))
-        asked += [(frame, "turned", LIKELY_SIZE, axis) for frame in dict.fromkeys(row.frame for row in model.rows)]
-    more = [
-        Considered(f"{effect} of {row}", row, effect, _UNSTATED * size, axis=axis)
-        for row, effect, size, axis in asked
-        if (row, effect) not in known
-    ]
-    return (*stated, *more)
+class _Estimated(Protocol):
+    """What is weighed of a recursion."""
+
+    seen: RowBlocks
+
+    @property
+    def rls(self) -> SquareRootRls: ...
+    @property
+    def correlation(self) -> float: ...
+    @property
+    def taken(self) -> Taken: ...
 
 
 class RowSuspects:
@@ -99,28 +83,25 @@ class RowSuspects:
     Attributes:
         weighed: the hypotheses, once there are rows enough.
         answer: the base parameters by all hypotheses that count.
+        explains: whether something is likelier wrong than all as stated, and all rows are explained by it.
     """
 
     def __init__(
         self, model: RowModel, base: BaseParameters, prior_root: FloatArray, considered: Sequence[Considered]
     ) -> None:
-        self._errors = suspected(considered, model)
-        self._remade = RowsRemade(model, base, self._errors)
+        errors = ErrorState(model, base, prior_root, considered)
+        self._of_all_rows = ErrorState(model, base, prior_root, considered, remade=False)
+        self._remade = RowsRemade(model, base, errors.of_instruments)
         self._kept, self._rows, self._weighed_at = KeptTicks(), np.zeros(2), np.zeros(2)
-        half = base.grouping @ prior_root
-        self._active = np.flatnonzero(half.any(axis=0))
-        self._half, self._centre = half[:, self._active], base.value(model.chi)  # beta = centre + half z
-        self._sigma = np.array([one.sigma for one in self._errors])
-        self._each = np.concatenate([np.diag(prior_root)[self._active], self._sigma])
-        every = [*self._links(model, prior_root), *self._instruments(model)]
-        suspects = [one for one in every if np.abs(one.along).max() < 1.0 / ROUNDING]  # else exact
-        self._bank = Bank(suspects, np.ones(len(self._active) + len(self._errors)))
+        self._half, self._centre, self._sigma = errors.half(prior_root), errors.centre, errors.sigma
+        self._n, self._bank = errors.parameters, errors.bank
         self._names = [row.name for row in model.rows]
         self._gain_of = {row: int(np.flatnonzero(base.independent == column)[0]) for row, column in model.scales}
         self._is_gain = np.isin(np.arange(len(self._centre)), list(self._gain_of.values()))
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
+        self.explains = False
 
     @property
     def explanation(self) -> str:
@@ -132,9 +113,11 @@ class RowSuspects:
 
     def judged(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Reasons to refuse all estimates, and to doubt them."""
-        if self.weighed is None or self._left is None:
+        if self.weighed is None:
             return (), ()
         against, doubts = map(list[str], self.weighed.judged)
+        if self._left is None:
+            return tuple(against), tuple(doubts)
         if contradicted := contradicted_text(self._left.far):
             against.append(contradicted)
         for name, share, noise in zip(self._names, self._left.of_read.tolist(), self._left.noise.tolist(), strict=True):
@@ -163,26 +146,48 @@ class RowSuspects:
         held = use[attached].sum()
         self._rows += held, use.sum() - held
 
-    def weigh(self, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
-        """Weighs the hypotheses, if there are a fifth more rows than when they were.
+    def answers(self, scaled: bool, contradicted: str) -> bool:
+        """Whether the answer is theirs.
 
         Args:
-            mean: the recursion's estimate with all as stated, (p,): where Gauss and Newton begin.
-            correlation: how many neighbouring rows say the same thing.
-            seen: the recursion's rows: what noise of the motion adds to their information.
+            scaled: whether cells' scales are estimated: always then.
+            contradicted: why the rows are not to be used at all; empty where they are.
+        """
+        return scaled or (self.explains and not contradicted)
+
+    def go_on(self, of: _Estimated, remade: bool) -> None:
+        """Weighs the hypotheses anew where there are a fifth more rows than when they were.
+
+        Args:
+            of: the recursion.
+            remade: by kept ticks whose rows are made again; else by the sums over all rows.
         """
         ticks = self._kept.ticks
         if ticks is None or len(ticks.time_s) < SHORTEST or (self._rows < AGAIN * self._weighed_at + 1.0).all():
             return
-        self._weighed_at = self._rows.copy()
+        self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
+        if remade:
+            self._weigh(ticks, mean, of.correlation, of.seen)
+        else:
+            self._weigh_all(mean, of.correlation, of.seen, of.taken.prior_root)
+
+    def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
+        """Weighs the hypotheses by the ticks that are kept.
+
+        Args:
+            ticks: these.
+            mean: the recursion's estimate with all as stated, (p,): where Gauss and Newton begin.
+            correlation: how many neighbouring rows say the same thing.
+            seen: the recursion's rows: what noise of the motion adds to their information.
+        """
         alike = min(float(self._kept.every), correlation)
         share = alike * np.count_nonzero(ticks.weight) / self._rows.sum()
         ticks, lag = ticks._replace(weight=ticks.weight * alike), math.ceil(correlation / self._kept.every)
-        n = len(self._active)
-        about = np.zeros(n + len(self._errors))
+        n = self._n
+        about = np.zeros(n + len(self._sigma))
         about[:n] = np.linalg.pinv(self._half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             A, b, left = self.equations(ticks, about, noise)
             P = np.asarray(np.linalg.inv(A + np.eye(len(A))), np.float64)
             weighed = self._bank.weigh((P @ b, P))
@@ -190,18 +195,45 @@ class RowSuspects:
             about, covariance = weighed.known(weighed.likeliest)
             noise = left.noise(about, noise, lag)
             moved = float((np.abs(about - before) / np.sqrt(np.diag(covariance))).max())
-            if moved < _SETTLED and np.allclose(noise, louder, rtol=_SETTLED):
+            if moved < SETTLED and np.allclose(noise, louder, rtol=SETTLED):
                 break
         self.weighed, self._left = weighed, left.shares(about, noise)
         own = slice(0, n)
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
 
+    def _weigh_all(self, mean: FloatArray, correlation: float, seen: RowBlocks, prior_root: FloatArray) -> None:
+        """The same by the sums over all rows, of cells whose scales are stated.
+
+        Args:
+            mean: the recursion's estimate, (p,).
+            correlation: how many neighbouring rows say the same thing.
+            seen: the rows.
+            prior_root: L of the prior covariance as wide as it is taken, (P, P).
+        """
+        errors, own = self._of_all_rows, slice(0, self._n)
+        half = errors.half(prior_root)
+        rows = AllRows(seen, half, errors, [errors.scale_of(row) for row in self._names], correlation)
+        x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
+        try:
+            weighed, more = explained(rows, errors.bank, x)
+        except np.linalg.LinAlgError:  # Gauss and Newton have gone where rows are not linear
+            self.explains = False
+            return
+        self.weighed, self._left, self.explains = weighed, None, more is not None
+        if more is not None:
+            mixed = weighed.mixed(lambda one: self._of_base(half, *weighed.known(one, own)))
+            self.answer = mixed.wider(np.asarray(half @ more[own, own] @ half.T, np.float64))
+
     def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
         """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""
         moved = self._half @ off
-        doubt = NOISE_SIGMA**2 * np.outer(moved, moved)
-        return self._centre + self._half @ z + moved, self._half @ P @ self._half.T + doubt
+        mean, covariance = self._of_base(self._half, z, P)
+        return mean + moved, covariance + NOISE_SIGMA**2 * np.outer(moved, moved)
+
+    def _of_base(self, half: FloatArray, z: FloatArray, P: FloatArray) -> Known:
+        """Base parameters by errors of their prior."""
+        return self._centre + half @ z, np.asarray(half @ P @ half.T, np.float64)
 
     def _attenuated(self, z: FloatArray, seen: RowBlocks, share: FloatArray) -> FloatArray:
         """``N z - n``, (n,), by which noise of the motion makes the right-hand side of z too small.
@@ -259,7 +291,7 @@ class RowSuspects:
             z: errors, each over its sigma.
             noise: variance of each row over that stated, (m,).
         """
-        n = len(self._active)
+        n = self._n
         beta, errors = self._centre + self._half @ z[:n], self._sigma * z[n:]
         reading, slope = self._remade.at(ticks, beta, errors)
         p = len(beta)
@@ -271,71 +303,6 @@ class RowSuspects:
         weighted = flat * weight.reshape(-1, 1)
         target = r + J @ z
         return weighted.T @ flat, weighted.T @ target.ravel(), _Left(J, target, ticks)
-
-    def _links(self, model: RowModel, prior_root: FloatArray) -> Iterator[Suspect]:
-        """Links that the rows show and that are not the payload."""
-        vehicle = model.vehicle
-        for number, link in enumerate(vehicle.links):
-            own = slice(10 * number, 10 * number + 10)
-            at, half = self._place(np.arange(own.start, own.stop)), prior_root[own, own]
-            if link == vehicle.spec.payload_link or len(at) < 10 or np.linalg.matrix_rank(half) < 10:
-                continue
-            each = ways(model.chi[own], half)
-            each += (np.hstack([each[0], each[3]]),)  # a part exchanged
-            yield from (Suspect(link, at, way, ODDS_OF_PART / len(each)) for way in each)
-
-    def _instruments(self, model: RowModel) -> Iterator[Suspect]:
-        joints = [joint.name for joint in model.vehicle.joints]
-        for effect, what, size in _OF_ENCODER:
-            odds = ODDS_OF_PART / len(_OF_ENCODER)
-            every = [self._places(joint, effect) for joint in joints]
-            for joint, at in zip(joints, every, strict=True):
-                yield self._alone(f"{what}_{joint}", at, size, odds)
-            if len(joints) > 1:
-                yield self._alone(f"{what}s of all joints", np.concatenate(every), size, odds)
-        base = model.vehicle.spec.base_link
-        yield self._alone(f"level of {base}", self._places(base, "level"), LIKELY_SIZE, ODDS_OF_PART)
-        for frame in dict.fromkeys(row.frame for row in model.rows):
-            yield self._alone(f"cells at {frame}", self._places(frame, "turned"), LIKELY_SIZE, ODDS_OF_PART)
-        yield from self._cells(model)
-
-    def _cells(self, model: RowModel) -> Iterator[Suspect]:
-        names, columns = [row.name for row in model.rows], dict(model.scales)
-        scales = [
-            self._place([columns[k]]) if k in columns else self._places(name, "scale") for k, name in enumerate(names)
-        ]
-        odds = 1.0 / len(names)
-        for name, scale in zip(names, scales, strict=True):
-            yield self._scaled(name, scale, ODDS * odds)
-            yield self._alone(name, self._places(name, "delay"), LIKELY_DELAY_s, ODDS_OF_PART * odds)
-            for place in self._places(name, "step"):
-                yield self._alone(f"a step of {name}", place[None], LIKELY_SIZE, ODDS * odds / STEPS)
-        forces = np.array([any(row.projection[:3]) for row in model.rows])
-        groups = {"all forces": forces, "all moments": ~forces} if 0 < forces.sum() < len(forces) else {}
-        for name, some in {**groups, "all cells": np.full(len(forces), True)}.items():
-            which = np.flatnonzero(some)
-            if len(which) > 1:
-                yield self._scaled(name, np.concatenate([scales[k] for k in which]), ODDS_OF_PART)
-                delays = np.concatenate([self._places(names[k], "delay") for k in which])
-                yield self._alone(name, delays, LIKELY_DELAY_s, ODDS_OF_PART, together=True)
-
-    def _place(self, columns: Sequence[int] | IndexArray) -> IndexArray:
-        """Of standard parameters in the state."""
-        return np.flatnonzero(np.isin(self._active, columns))
-
-    def _places(self, row: str, effect: Effect) -> IndexArray:
-        """Of the errors of an instrument in the state."""
-        mine = [(one.row, one.effect) == (row, effect) for one in self._errors]
-        return len(self._active) + np.flatnonzero(mine)
-
-    def _scaled(self, name: str, at: IndexArray, odds: float) -> Suspect:
-        """Scales of cells, by one factor."""
-        return Suspect(name, at, LIKELY_SIZE / self._each[at, None], odds)
-
-    def _alone(self, name: str, at: IndexArray, size: float, odds: float, together: bool = False) -> Suspect:
-        """Errors of instruments, each by itself or all by one value."""
-        along = size / self._sigma[at - len(self._active)]
-        return Suspect(name, at, along[:, None] if together else np.diag(along), odds)
 
 
 class _Left(NamedTuple):

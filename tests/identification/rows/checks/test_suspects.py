@@ -18,6 +18,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.checks import kept_ticks, suspects
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import RowsRemade, turned
+from onboard.identification.rows.checks.suspected import suspected
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.stated_errors.considered import Considered
@@ -236,7 +237,7 @@ def test_more_than_one_row_in_twenty_that_is_far_off_refuses_all(rng, share, aga
 def test_a_large_error_is_linearised_anew(monkeypatch):
     """A zero of 150 mrad is one where rows are made about it; about none it is "farther than any" or several things."""
     wrong, name = WRONG["a large zero"]
-    monkeypatch.setattr(suspects, "_ROUNDS", 1)
+    monkeypatch.setattr(suspects, "ROUNDS", 1)
     once = fed(wrong)
     assert name not in once.suspects.weighed.names or abs(mass(once)[0]) > 3.0 or mass(once)[1] > 2e-3
 
@@ -280,7 +281,7 @@ def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
 
 def test_derivatives_of_remade_rows_are_differences(rng):
     who = identifier()
-    errors = suspects.suspected(ZEROS, who.model)
+    errors = suspected(ZEROS, who.model)
     remade, p = RowsRemade(who.model, who.base, errors), len(who.base.names)
     assert {one.effect for one in errors} >= {"joint_zero", "joint_scale", "joint_delay", "level", "turned", "step"}
     t = np.linspace(0.0, 5.0, 12)
@@ -301,7 +302,7 @@ def test_derivatives_of_remade_rows_are_differences(rng):
 
 def test_a_late_encoder_is_corrected_to_second_order(rng):
     who = identifier()
-    errors, late_s = suspects.suspected(ZEROS, who.model), 0.02
+    errors, late_s = suspected(ZEROS, who.model), 0.02
     remade, beta = RowsRemade(who.model, who.base, errors), rng.standard_normal(len(who.base.names))
     t = np.linspace(0.0, 1.0, 9)
     speed, up = rng.uniform(-1.0, 1.0, (2, 5))

@@ -1,0 +1,109 @@
+"""Errors of cells by the sums over rows that were made here: what is found, and when it is no explanation."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from onboard.estimation.policy import LIKELY_SIZE, ODDS
+from onboard.identification.evidence.bank import Bank, Suspect
+from onboard.identification.rows.checks.all_rows import AllRows, explained
+from onboard.identification.rows.row_blocks import RowBlocks
+
+CELLS, P, BLOCK_S = ("a", "b", "c"), 4, 1.0
+STATED = 0.01  # sigma of each scale
+PRIOR = 3.0
+BETA = np.array([2.0, -1.0, 1.5, 0.5])
+
+
+def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40):
+    """Rows of three cells, 20 a second of each: ``factor Y beta`` and noise, which is one sigma.
+
+    ``slow``: of what no parameter explains, by the block; ``motion``: noise of the regressor, as it is read.
+    """
+    seen = RowBlocks(P, BLOCK_S, CELLS)
+    times_s = np.repeat(np.arange(0.0, seconds, 0.05), len(CELLS))
+    cell = np.tile(np.arange(len(CELLS)), len(times_s) // len(CELLS))
+    true = 10.0 * rng.standard_normal((len(times_s), P))
+    block = rng.standard_normal((seconds, len(CELLS)))[times_s.astype(int), cell]
+    y = np.array(factors)[cell] * (true @ BETA) + rng.standard_normal(len(cell)) + slow * block
+    Y = true + motion * rng.standard_normal(true.shape)
+    sigma = np.full(len(y), np.sqrt(1.0 + motion**2 * (BETA @ BETA)))
+    noise = np.tile(motion * np.eye(P, P + 1), (len(y), 1, 1)) if motion else None
+    seen.add(times_s, np.ones(len(y), np.bool_), cell, Y, y, sigma, np.ones(len(y)), noise)
+    return seen
+
+
+def asked(seen):
+    errors = SimpleNamespace(centre=np.zeros(P), sigma=np.full(3, STATED), columns=[-1, -1, -1])
+    rows = AllRows(seen, PRIOR * np.eye(P), errors, [0, 1, 2], 1.0)
+    suspects = [
+        Suspect(cell, np.array([P + k]), np.array([[LIKELY_SIZE / STATED]]), ODDS) for k, cell in enumerate(CELLS)
+    ]
+    return rows, Bank(suspects, np.ones(P + 3))
+
+
+def found(seen, about=BETA):
+    """Hypotheses, and mean and sigma of beta under the likeliest where it explains all rows."""
+    rows, bank = asked(seen)
+    weighed, more = explained(rows, bank, np.concatenate([about / PRIOR, np.zeros(3)]))
+    if more is None:
+        return weighed, None, None
+    x, P_ = weighed.known(weighed.likeliest)
+    return weighed, PRIOR * x[:P], PRIOR * np.sqrt(np.diag(P_ + more))[:P]
+
+
+def test_with_all_as_stated_nothing_is_explained(rng):
+    weighed, mean, _ = found(flown(rng))
+    assert weighed.likeliest.suspect is None
+    assert mean is None
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.06, 1.2])
+def test_a_wrong_scale_is_named_and_taken_out(rng, factor):
+    """About an estimate that the wrong cell has moved, too."""
+    weighed, mean, sigma = found(flown(rng, (1.0, factor, 1.0)), BETA * (1.0 + 0.3 * (factor - 1.0)))
+    assert weighed.names == ("b",)
+    assert weighed.likeliest.size == pytest.approx(abs(factor - 1.0) / LIKELY_SIZE, abs=0.15)
+    assert (np.abs(mean - BETA) < 4.0 * sigma).all()
+    assert (sigma < 0.02 * np.abs(BETA)).all()  # two cells that are as stated to 1 % each
+
+
+def test_a_scale_of_half_as_much_again_is_of_another_kind(rng):
+    weighed, mean, _ = found(flown(rng, (1.0, 1.5, 1.0)))
+    assert weighed.too_far == "b"
+    assert mean is None
+
+
+def test_what_is_left_over_and_alike_for_a_block_is_no_explanation(rng):
+    weighed, mean, _ = found(flown(rng, (1.0, 1.2, 1.0), slow=1.0))
+    assert weighed.likeliest.suspect is not None
+    assert mean is None
+
+
+def test_noise_of_the_motion_is_not_taken_for_a_scale(rng):
+    """A third of the information is noise: without the correction all scales are a quarter too small."""
+    weighed, mean, sigma = found(flown(rng, (1.0, 1.15, 1.0), motion=5.0, seconds=120))
+    assert weighed.likeliest.suspect.name == "b"
+    assert (np.abs(mean - BETA) < 4.0 * sigma).all()
+
+
+def test_what_scatters_more_than_it_is_known_widens_the_answer(rng):
+    x, quiet, wider = np.concatenate([BETA / PRIOR, np.zeros(3)]), np.ones(3), []
+    for slow, colour in ((0.0, 1.5), (3.0, 20.0)):
+        rows, _ = asked(flown(rng, slow=slow))
+        x, known = rows.known(x, quiet)
+        assert 0.25 * colour < rows.colour(x, quiet) < colour
+        wider.append(PRIOR**2 * np.diag(rows.scatter(x, known, quiet))[:P])
+    assert (wider[1] > 5.0 * wider[0]).all()  # noise is ten times as large
+    assert wider[1] == pytest.approx(np.full(P, 9.0 / 100.0 / 2400.0), rel=0.7)  # over the rows' information
+
+
+def test_readings_that_no_noise_explains_are_a_misfit(rng):
+    rows, _ = asked(flown(rng, slow=3.0))
+    x = np.concatenate([BETA / PRIOR, np.zeros(3)])
+    assert rows.misfit(x, x) == pytest.approx(10.0, rel=0.4)
+    assert rows.misfit(x, x) == pytest.approx(rows.noise(x).max())
+    loud, _ = asked(flown(rng, motion=5.0))
+    assert loud.misfit(x, x) == pytest.approx(1.0, rel=0.1)
+    assert loud.misfit(10.0 * x, x) > 50.0  # whose own noise of the motion would explain anything
