@@ -215,13 +215,13 @@ class Identifier:
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         count_refused(self.refused, found)
         if self._bank is not None:
-            self._bank.go_on(self, remade=bool(self._scales or self.contradicted))
+            self._bank.go_on(self, bool(self._scales), bool(self.contradicted))
         return found
 
     @property
     def suspects(self) -> RowSuspects | None:
         """Those whose answer takes the place of the recursion's, if there are."""
-        return self._bank if self._bank and self._bank.answers(bool(self._scales), self.contradicted) else None
+        return self._bank if self._bank is not None and (self._scales or self._bank.explains) else None
 
     def finish(self) -> None:
         """Nothing is left to be done: each update processes its rows."""

@@ -1,16 +1,17 @@
 """Hypotheses of errors of an arm on a fixed base, and the answer under each.
 
 Where its cells' scales are estimated, the answer is always theirs; where scales are stated, once something is likelier
-wrong, and explains all rows: with it no more is left over than is doubted of noise. Where a share of the rows
-contradicts the others there is no answer, and the likeliest hypotheses are named.
+wrong, and explains all rows: with it no more is left over than is doubted of noise. Else there is no answer where a
+share of the rows contradicts the others, and the likeliest hypotheses are named.
 
 All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with "as stated" in one bank
 (:mod:`onboard.identification.evidence.bank`), whose state is z: the errors of the prior, ``beta = beta_0 + G L z``, and
 those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
-stated. Equations are, where scales are stated and rows agree, the sums over all rows
-(:mod:`onboard.identification.rows.checks.all_rows`), elsewhere rows of kept ticks that are made again
-(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
+stated. Equations are, where scales are stated, the sums over all rows
+(:mod:`onboard.identification.rows.checks.all_rows`); where they are estimated, or rows contradict each other, rows of
+kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`), those included that the recursion
+refuses.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
 more than are correlated. Outliers have Huber's weights.
@@ -146,30 +147,28 @@ class RowSuspects:
         held = use[attached].sum()
         self._rows += held, use.sum() - held
 
-    def answers(self, scaled: bool, contradicted: str) -> bool:
-        """Whether the answer is theirs.
-
-        Args:
-            scaled: whether cells' scales are estimated: always then.
-            contradicted: why the rows are not to be used at all; empty where they are.
-        """
-        return scaled or (self.explains and not contradicted)
-
-    def go_on(self, of: _Estimated, remade: bool) -> None:
+    def go_on(self, of: _Estimated, scaled: bool, contradicted: bool) -> None:
         """Weighs the hypotheses anew where there are a fifth more rows than when they were.
 
         Args:
             of: the recursion.
-            remade: by kept ticks whose rows are made again; else by the sums over all rows.
+            scaled: whether cells' scales are estimated.
+            contradicted: whether it leaves out more rows than good data hold that contradict the others. What explains
+                the other rows has to explain these, too.
         """
         ticks = self._kept.ticks
         if ticks is None or len(ticks.time_s) < SHORTEST or (self._rows < AGAIN * self._weighed_at + 1.0).all():
             return
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
-        if remade:
-            self._weigh(ticks, mean, of.correlation, of.seen)
-        else:
+        if not scaled:
             self._weigh_all(mean, of.correlation, of.seen, of.taken.prior_root)
+        by_all = self.weighed, self.answer
+        if scaled or contradicted:
+            self._weigh(ticks, mean, of.correlation, of.seen)
+        if contradicted and not scaled:
+            likeliest = [one.names[:1] for one in (by_all[0], self.weighed) if one is not None]
+            self.explains &= likeliest[1:] == likeliest[:1] and not self.judged()[0]
+            self.answer = by_all[1]
 
     def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
         """Weighs the hypotheses by the ticks that are kept.
