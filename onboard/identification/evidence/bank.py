@@ -108,7 +108,7 @@ class Changed(NamedTuple):
             scale = 1.0 / np.sqrt(1.0 + max(self.J[k, k], 0.0))
             return np.array([self.d[k] * scale**2]), np.array([[scale]])
         at = np.asarray(which, np.intp)
-        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[np.ix_(at, at)])
+        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[at[:, None], at])
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
