@@ -214,7 +214,7 @@ class Weighed(NamedTuple):
     @property
     def counting(self) -> tuple[Hypothesis, ...]:
         """Hypotheses that an answer covers, the most probable first: all but what :data:`.LEAST_WEIGHT` leaves out."""
-        first = sorted(self.every, key=lambda one: -one.weight)
+        first = sorted(self.every, key=_WEIGHT, reverse=True)
         left = 1.0 - np.cumsum([one.weight for one in first])
         return tuple(first[: 1 + int((left > LEAST_WEIGHT).sum())])
 
