@@ -28,18 +28,19 @@ from onboard.cli.common import BAD_INPUT, DAMAGED, FAILED, OK, UNAVAILABLE, comp
 from onboard.native.errors import NativeError
 
 _SHARED = "__main__", "common", "controller", "lines", "messages"  # modules that are no commands
+_LATE = "numpy.f2py", "numpy.testing"
 _COLLECTED_EVERY = 20_000  # objects made more than given back
 
 __all__ = ["BAD_INPUT", "DAMAGED", "FAILED", "OK", "UNAVAILABLE", "main", "parser"]
 
 
-class _LateF2py(MetaPathFinder):
-    """Loads ``numpy.f2py`` where it is used: SciPy names every module of NumPy, and this one is a sixth of a start."""
+class _LateParts(MetaPathFinder):
+    """Loads parts of NumPy where they are used: SciPy names them all, and these, which nothing needs, are a sixth."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(fullname, path, target) if fullname == "numpy.f2py" else None
+        spec = PathFinder.find_spec(fullname, path, target) if fullname in _LATE else None
         if spec is not None and spec.loader is not None:
             spec.loader = LazyLoader(spec.loader)
         return spec
@@ -51,8 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    if not any(isinstance(finder, _LateF2py) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _LateF2py())
+    if not any(isinstance(finder, _LateParts) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _LateParts())
     gc.set_threshold(_COLLECTED_EVERY)  # what is imported stays: looking through it takes a tenth of a start
     atexit.register(gc.freeze)  # nor is it looked through when the process ends
     argv = sys.argv[1:] if argv is None else argv

@@ -61,11 +61,11 @@ class ArrivalClock(FlywheelingClock):
     def arrived(self, tick: int, host_ns: int) -> bool:
         """Take the arrival of sample ``tick`` at ``host_ns``; returns whether the solution changed."""
         gate_ns = self.GATE_NS + self.GATE_SCATTERS * self._scatter_ns
-        if self.trusted and host_ns - self._due_ns(tick) < -gate_ns:
+        lateness = host_ns - (self._reference_ns + (tick - self._tick) * self._period_ns)
+        if lateness < -gate_ns and self.trusted:
             self.restart()  # arrival before the sample: the ticks have restarted
         if not self._block_ns:
-            self._block_ns, self._tick, self._reference_ns = host_ns, tick, float(host_ns)
-        lateness = host_ns - self._due_ns(tick)
+            self._block_ns, self._tick, self._reference_ns, lateness = host_ns, tick, float(host_ns), 0.0
         if self._block is None or lateness < self._block[0]:
             self._block = (lateness, tick, host_ns)
         shortest, longest = self.BLOCK_S
@@ -85,9 +85,6 @@ class ArrivalClock(FlywheelingClock):
         self.residual_ns = lateness
         self._fit()
         return self.trusted
-
-    def _due_ns(self, tick: int) -> float:
-        return self._reference_ns + (tick - self._tick) * self._period_ns
 
     def _fit(self) -> None:
         tick, host_ns = self._blocks[-1]

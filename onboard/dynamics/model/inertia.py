@@ -13,6 +13,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 
 _ROWS, _COLUMNS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)  # XX XY YY XZ YZ ZZ
+_ONE = np.eye(3)
 
 
 class RigidBody(NamedTuple):
@@ -36,7 +37,7 @@ def elements(tensor: FloatArray) -> FloatArray:
 
 def parallel_axis(mass_kg: float, offset_m: FloatArray) -> FloatArray:
     """Parallel-axis theorem: inertia of a point mass at ``offset_m``, (3,), (3, 3): ``m (r.r 1 - r r')``."""
-    return np.asarray(mass_kg * (offset_m @ offset_m * np.eye(3) - np.outer(offset_m, offset_m)), np.float64)
+    return np.asarray(mass_kg * (offset_m @ offset_m * _ONE - offset_m[:, None] * offset_m), np.float64)
 
 
 def take_away(total: RigidBody, carrier: RigidBody) -> RigidBody:

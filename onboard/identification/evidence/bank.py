@@ -108,7 +108,7 @@ class Changed(NamedTuple):
             scale = 1.0 / np.sqrt(1.0 + max(self.J[k, k], 0.0))
             return np.array([self.d[k] * scale**2]), np.array([[scale]])
         at = np.asarray(which, np.intp)
-        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[np.ix_(at, at)])
+        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[at[:, None], at])
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
@@ -214,7 +214,7 @@ class Weighed(NamedTuple):
     @property
     def counting(self) -> tuple[Hypothesis, ...]:
         """Hypotheses that an answer covers, the most probable first: all but what :data:`.LEAST_WEIGHT` leaves out."""
-        first = sorted(self.every, key=lambda one: -one.weight)
+        first = sorted(self.every, key=_WEIGHT, reverse=True)
         left = 1.0 - np.cumsum([one.weight for one in first])
         return tuple(first[: 1 + int((left > LEAST_WEIGHT).sum())])
 

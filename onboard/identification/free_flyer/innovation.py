@@ -146,8 +146,9 @@ class Innovations:
         except np.linalg.LinAlgError as error:
             raise SingularError("the state's covariance is none any more; it has to be estimated anew") from error
         solved = dtrtrs(L.T, known.T, lower=False, trans=True, overwrite_b=True)[0]
-        W, e, of_steps, moved, doubt = np.split(solved, np.cumsum([p, 1, steps.shape[1], 1]), axis=1)
-        return Innovation(W, e[:, 0], L, of_steps, (e - moved)[:, 0], doubt, len(there))
+        e, end = solved[:, p], p + 1 + steps.shape[1]
+        of_steps, moved, doubt = solved[:, p + 1 : end], solved[:, end], solved[:, end + 1 :]
+        return Innovation(solved[:, :p], e, L, of_steps, e - moved, doubt, len(there))
 
     def agreeing(
         self,

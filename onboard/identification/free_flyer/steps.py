@@ -280,7 +280,7 @@ class Steps:
         W, e, seen = told
         if len(e) and noise.information.size:
             at = np.flatnonzero(noise.information.diagonal() > NOISELESS * noise.of_lines)
-            information = D[at].T @ noise.information[np.ix_(at, at)] @ D[at]
+            information = D[at].T @ noise.information[at[:, None], at] @ D[at]
             d = d + D.T @ noise.gradient
             self._noise, self._spread = self._noise + information, self._spread + noise.scattering * information
         now, more = W.T @ seen, seen.T @ seen
@@ -294,6 +294,7 @@ class Steps:
     def _may_be(self, state: FloatArray) -> None:
         """From now on, too; of too many times the least likely but the newest is left to the one after it."""
         (D, d, J, _), each, kinds = self.changed, len(self._of), len(self._what)
+        of_noise = self._noise, self._spread
         if not each:
             return
         logs, kept = self.changed.evidence(self.suspects)[1], np.arange(len(self._stands))
@@ -306,10 +307,10 @@ class Steps:
             self.suspects[own] = [one._replace(odds=one.odds * times) for one in self._what]
         steps, now = (each * kept[:, None] + np.arange(each)).ravel(), self.inside(0)._replace(times=1)
         new = now.about(state).changed(len(D))
-        d, J = np.append(d[steps], np.zeros(each)), np.pad(J.take(steps, 0).take(steps, 1), (0, each))
-        of_noise = self._noise, self._spread
-        self._noise, self._spread = (np.pad(part.take(steps, 0).take(steps, 1), (0, each)) for part in of_noise)
-        self.changed = Changed(np.hstack([D[:, steps], new]), d, J, self._of_each)
+        squares = np.zeros((3, len(steps) + each, len(steps) + each))
+        squares[:, : len(steps), : len(steps)] = [part.take(steps, 0).take(steps, 1) for part in (J, *of_noise)]
+        J, self._noise, self._spread = squares
+        self.changed = Changed(np.hstack([D[:, steps], new]), np.append(d[steps], np.zeros(each)), J, self._of_each)
         self._stands = np.append(self._stands[kept], 1.0)
         self._begun = np.append(self._begun[kept], self._batches)
         self.suspects += self._what

@@ -23,12 +23,10 @@ HEFT_API int heft_carried(i64 p, i64 c, const i64 *changes, const double *F, con
             return HEFT_SIZE;
         }
     for (i64 k = 0; k < c; k++) weighted_rows(F + p * k, p, C, moved + p * k);
-    for (i64 k = 0; k < c; k++)
-        for (i64 l = 0; l < c; l++) {
-            double sum = 0.0;
-            for (i64 j = 0; j < p; j++) sum += moved[p * k + j] * F[p * l + j];
-            inner[c * k + l] = sum;
-        }
+    memset(inner, 0, (size_t)(c * c) * sizeof(double));
+    for (i64 l = 0; l < c; l++)
+        for (i64 j = 0; j < p; j++)    /* most are zero here, too */
+            for (i64 k = 0; F[p * l + j] != 0.0 && k < c; k++) inner[c * k + l] += moved[p * k + j] * F[p * l + j];
     memcpy(out, C, (size_t)size * sizeof(double));
     for (i64 k = 0; k < c; k++)
         for (i64 j = 0; j < p; j++) out[p * changes[k] + j] = out[p * j + changes[k]] = moved[p * k + j];

@@ -337,8 +337,8 @@ class SignalSmoother:
         columns, periods, _, ends, _ = self._errors(group)
         if not (derivatives and self._cyclic_fitted and columns.size):
             return {}
-        smoothed = window.derivatives(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
-        functions = np.stack([one.values for one in smoothed], axis=1)
+        smoothed, _ = window.stacked(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
+        functions = smoothed.swapaxes(0, 1)
         parts = zip(group, [0, *ends], ends, strict=False)
         return {name: functions[:, :, 2 * first : 2 * last] for name, first, last in parts if last > first}
 

@@ -138,9 +138,10 @@ def correction_of(
     B, share = B @ Q, Q.T * share @ Q
     # H - K V^-1 K = B lost B', and K V^-1 times the score is that and B scores: where all is noise, and where it is not
     lost, scores, left, k = np.diag(1.0 / G), -lines / G, noise - here, np.flatnonzero(G < 1.0)
-    V = added.scattering * np.eye(len(k)) + NOISE_SIGMA**2 * np.outer(noise[k], noise[k])
-    by = V @ np.linalg.inv(np.eye(len(k)) + G[k, None] * (V - np.eye(len(k))))
-    lost[np.ix_(k, k)] = V + np.eye(len(k)) - (by * G[k]) @ V
+    one = np.eye(len(k))
+    V = added.scattering * one + NOISE_SIGMA**2 * np.outer(noise[k], noise[k])
+    by = V @ np.linalg.inv(one + G[k, None] * (V - one))
+    lost[k[:, None], k] = V + one - (by * G[k]) @ V
     scores[k] = left[k] - by @ (lines[k] + G[k] * left[k])
     more = np.linalg.solve(np.eye(len(G)) - lost @ share, lost)
     more, PB = 0.5 * (more + more.T), P @ B  # the covariance is larger by P B more B' P
@@ -209,9 +210,9 @@ def _directions(P: FloatArray, added: NoiseAdded) -> tuple[FloatArray, FloatArra
     diagonal = added.information.diagonal()
     counts = (diagonal > NOISELESS * added.of_lines) | (diagonal * P.diagonal()[: len(diagonal)] > NOISELESS)
     at = np.flatnonzero(counts & (diagonal > 0.0))
-    values, V = np.linalg.eigh(added.information[np.ix_(at, at)])
+    values, V = np.linalg.eigh(added.information[at[:, None], at])
     V = V * np.sqrt(np.maximum(values, 0.0))
-    share, U = np.linalg.eigh(V.T @ P[np.ix_(at, at)] @ V)
+    share, U = np.linalg.eigh(V.T @ P[at[:, None], at] @ V)
     B = np.zeros((len(P), int((own := share > ROUNDING * share.max(initial=0.0)).sum())))
     B[at] = V @ U[:, own]
     return B, share[own]

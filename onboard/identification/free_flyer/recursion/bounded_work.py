@@ -103,10 +103,11 @@ class BoundedWork(ABC):
 
     def _take(self, ticks: Ticks) -> None:
         """Take ticks up to the next filter step or window, and do or begin it; the others go back to the inbox."""
-        if gaps(np.append(self._pending.time_s[-1:], ticks.time_s[:1]), self._period_s).any():
+        before = self._pending.time_s[-1:]
+        breaks = gaps(np.append(before, ticks.time_s), self._period_s).nonzero()[0] + (1 - len(before))
+        if 0 in breaks:
             self._interrupted()
-        breaks = gaps(ticks.time_s, self._period_s).nonzero()[0]
-        last = min(self._wanted(), breaks[0] + 1 if breaks.size else len(ticks.time_s))
+        last = min(self._wanted(), *breaks[breaks > 0], len(ticks.time_s))
         self._pending = self._pending.and_then(ticks.part(slice(0, last)))
         if last < len(ticks.time_s):
             self._inbox.appendleft(ticks.part(slice(last, None)))

@@ -24,7 +24,6 @@ from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray, IndexArra
 from onboard.estimation.maximum_likelihood import Normal
 from onboard.identification.corrections import LEAST_TOLD
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, PIECE, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.steps import NO_STEPS, NONE_TAKEN, Inside, StepsTaken
 
@@ -44,6 +43,7 @@ class Pieces:
         steps: that may be inside.
         taken: steps that are.
         sizes: of these, in their sigmas, (r,).
+        tells: what steps do to it is wanted.
 
     Attributes:
         normal: of what has been predicted, by the unknowns at the first tick and the sizes of steps.
@@ -64,13 +64,15 @@ class Pieces:
         steps: Inside = NO_STEPS,
         taken: StepsTaken = NONE_TAKEN,
         sizes: FloatArray = _NO_SIZES,
+        *,
+        tells: bool = True,
     ) -> None:
         a, r = len(active), len(sizes)
         self.state, self._active = state, active
         self.transition = np.pad(np.eye(len(state))[:, active], ((0, 0), (0, r)))
         self.normal = Normal(np.zeros((a + r, a + r)), np.zeros(a + r), 0.0)
         self.residual, self.steps, self.log_sigma = np.zeros((ticks, lines)), steps, 0.0
-        self._taken, self._sizes = taken, sizes
+        self._taken, self._sizes, self._tells = taken, sizes, tells
         parts, kinds = steps.times + steps.begins, steps.of_instruments + _FIRST
         each = (kinds, kinds), (kinds,), (kinds, a + r)
         self._first = np.eye(_FIRST)[:, active[active < _FIRST]].T  # of what is active
@@ -88,13 +90,13 @@ class Pieces:
         """All ticks are predicted."""
         return not self._left
 
-    def advance(self, predictor: ImuPredictor, ticks: Ticks, noise: LineNoise, use: BoolArray) -> int:
+    def advance(self, predictor: ImuPredictor, ticks: Ticks, whitening: FloatArray, use: BoolArray) -> int:
         """Predict the next piece; how many ticks that were.
 
         Args:
             predictor: of the instruments.
             ticks: the window, (n + 2,).
-            noise: of what was measured, of n + 2 ticks.
+            whitening: of the lines of each, (n, lines, lines): see :class:`.LineNoise`.
             use: which lines count, (n, lines).
         """
         first = self._done
@@ -110,8 +112,7 @@ class Pieces:
         self._left -= self._done >= last
         own, inner = ticks.part(slice(first, self._done + 2)), slice(first + 1, self._done + 1)
         predicted = predictor.predict(own.q, own.dq, own.ddq, self.state, own.cyclic, own.thrust)
-        used = use[first : self._done]
-        whiten = noise.part(inner).whitening(used)
+        used, whiten = use[first : self._done], whitening[first : self._done]
         self.log_sigma -= float(np.log(np.einsum("nmm->nm", whiten)[used]).sum())
         residual = (whiten @ np.where(used, predicted.values - ticks.measured[inner], 0.0)[:, :, None])[:, :, 0]
         gyro = predicted.jacobian[:, :3].copy() if self.steps.times else _NO_SIZES
@@ -135,6 +136,8 @@ class Pieces:
                         self.normal = self.normal._replace(squares=np.inf)
                         continue
                     self._rates[part] = np.linalg.solve(now[:, RATE], now[:, PAYLOAD])
+                if not self._tells:
+                    continue
                 seen = np.hstack([self.steps.seen(H), self._by_start(H, *of_state[:2])])
                 told = seen.T @ seen, left @ seen, self._by_first(seen.T @ H, *of_state)
                 for known, more in zip(self._of_steps, told, strict=True):

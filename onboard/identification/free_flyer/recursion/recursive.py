@@ -283,14 +283,14 @@ class MotionFilter(Windowed):
 
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
-        assert self.state is not None
-        if self.held and (back := self.rivals.altered(*self.known)) is not None:
+        known = self.known
+        if self.held and (back := self.rivals.altered(*known)) is not None:
             self._begin_altered(back)
             return
-        if (free := self.rivals.freeing(*self.known, held=bool(self.held))) is not None:
+        if (free := self.rivals.freeing(*known, held=bool(self.held))) is not None:
             self._free(free)
             return
-        accused = self.fusion.standing(self.innovations.contradicting(*self.known))
+        accused = self.fusion.standing(self.innovations.contradicting(*known))
         if accused is not None:
             self._before = bool(self.held)
             kept = HeldPayload.SAME if accused.batches else HeldPayload.NEW

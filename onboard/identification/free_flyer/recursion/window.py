@@ -94,7 +94,8 @@ class WindowSolve:
         self._steps, self._taken, self._released = steps, taken, released
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self.prior, self._given = ticks, prior, start
-        self._lines = LineNoise.alone(ticks.sigma)
+        self._lines = LineNoise.alone(ticks.sigma[1:-1])
+        self._whitening = np.zeros((0, 0, 0))  # by that
         self.over = False
         self.found: Solved | None = None
         self.nearest: Solved | None = None
@@ -111,7 +112,7 @@ class WindowSolve:
         """Predicts a piece of the window, and goes on from there; how many ticks were predicted."""
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             assert self._pieces is not None
-            ticks = self._pieces.advance(self._predictor, self._ticks, self._lines, self._use)
+            ticks = self._pieces.advance(self._predictor, self._ticks, self._whitening, self._use)
             if self._pieces.over:
                 self._predicted(self._pieces)
         return ticks
@@ -158,7 +159,8 @@ class WindowSolve:
         ticks, lines = self._use.shape
         (state, sizes), r = self._parted(self._problem.state(x)), len(self._taken.first)
         active = self._problem.active[: len(x) - r]
-        self._pieces = Pieces(state, active, ticks, lines, self._steps.about(state), self._taken, sizes)
+        steps = self._steps.about(state), self._taken, sizes
+        self._pieces = Pieces(state, active, ticks, lines, *steps, tells=self._stage is not _Stage.GUESS)
 
     def _parted(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """State of the vehicle, (p,), and sizes of the steps that are taken, (r,)."""
@@ -229,7 +231,8 @@ class WindowSolve:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]
         (noise,) = self._predictor.joint_noises(self._ticks.q, self._parted(start)[0], self._ticks.joint_sigma)
-        self._lines = LineNoise.of(self._ticks.sigma, noise)
+        self._lines = LineNoise.of(self._ticks.sigma, noise).part(slice(1, -1))
+        self._whitening = self._lines.whitening(self._use)
         beyond = 0 if stage is _Stage.GUESS else BEYOND  # far from a minimum a step that leads up leads nowhere
         self._descent = Descent(
             start[active], self._problem.mean[active], prior, iterations, tolerance, damping, beyond
@@ -342,14 +345,14 @@ class WindowSolve:
         before, lasting = self._noise, self._predictor.lasting
         if self._hypothesis is not HeldPayload.SAME:
             before = before.but_for(PAYLOAD, self.prior[0])
-        some, by_tick = (self._predictor, self._ticks, self._lines.part(slice(1, -1))), np.zeros((len(use), len(start)))
+        some, by_tick = (self._predictor, self._ticks, self._lines), np.zeros((len(use), len(start)))
         noise = noise_added(*some, use, start, by_tick=by_tick).moved(-lasting * start).plus(before)
         here, d = noise.moved(lasting * start), uphill @ moves - along
         if here.gradient.any():
             d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(here.gradient)
         steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
-        left_out = self._lines.sigma[1:-1][np.isfinite(self._ticks.measured[1:-1]) & ~use]
+        left_out = self._lines.sigma[np.isfinite(self._ticks.measured[1:-1]) & ~use]
         evidence = evidence_of(whole, use.sum(axis=0), left_out, cost - squares, (stated, informed))
         by = correction_of((end, covariance), noise.moved(lasting * end), self._predictor.constant, self._released)
         known = end + by.shift, covariance + by.root @ by.root.T

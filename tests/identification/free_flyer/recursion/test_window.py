@@ -51,7 +51,7 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
         monkeypatch.setattr(pieces, "PIECE", size)
         whole = Pieces(state, active, *use.shape)
         while not whole.over:
-            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma[1:-1]).whitening(use), use)
         found.append(whole)
     one, several = found
     scale = np.sqrt(np.diag(one.normal.information))
@@ -70,7 +70,7 @@ def test_normal_equations_are_by_the_covariance_of_the_lines_of_each_tick(held, 
     state, use = np.full(len(predictor.names), 1e-3), rng.random((40, 6)) < 0.8
     noise = LineNoise.of(ticks.sigma, ticks.sigma[:, None] * rng.standard_normal((42, 10, 6)))
     whole = Pieces(state, np.arange(len(state)), *use.shape)
-    whole.advance(predictor, ticks, noise, use)
+    whole.advance(predictor, ticks, noise.part(slice(1, -1)).whitening(use), use)
     assert whole.over
     predicted = predictor.predict(ticks.q, ticks.dq, ticks.ddq, state, ticks.cyclic, ticks.thrust)
     information, gradient, squares, logs = np.zeros((len(state), len(state))), np.zeros(len(state)), 0.0, 0.0
@@ -98,7 +98,7 @@ def test_where_the_first_rate_no_longer_shows_the_cost_is_infinite(held):
     for diverged in (False, True):
         whole = Pieces(state, np.arange(len(state)), *use.shape, Steps(predictor).inside(120).about(state))
         while not whole.over:
-            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma[1:-1]).whitening(use), use)
             if diverged:
                 whole.transition[RATE, RATE] = 1.0
         costs.append(whole.normal.squares)
@@ -286,7 +286,7 @@ def test_pieces_with_a_step_between_them_are_the_ticks_before_and_after_it(held,
     def predicted(size):
         whole = Pieces(state, active, *use.shape, NO_STEPS, taken, np.array([size]))
         while not whole.over:
-            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma), use)
+            whole.advance(predictor, ticks, LineNoise.alone(ticks.sigma[1:-1]).whitening(use), use)
         return whole
 
     none, some, more = (predicted(size) for size in (0.0, 1.0, 1.001))
