@@ -42,7 +42,7 @@ def answer_rates_hz(estimator: Estimator) -> dict[str, float]:
     """How often rows of the estimation worker's channels come, at most."""
     settings = estimator.vehicle.file.estimation
     steps_hz = 1e3 / settings.step_ms
-    answers = len(estimator.parameter_names) + len(estimator.online.quantity_names) + MOST_ALSO
+    answers = len(estimator.online.parameter_names) + len(estimator.online.quantity_names) + MOST_ALSO
     return {
         "tick": steps_hz,
         "clock": steps_hz * len(estimator.inputs),
@@ -109,25 +109,19 @@ class EstimationWorker:
 
     def _shed(self, now_ns: int) -> tuple[list[Batch], int]:
         """Leave out rows that there is no time for; the events that report it, and the time skipped [ns]."""
-        if self._reached_ns is None:
-            return [], 0
-        if not (skip_ns := to_skip_ns(now_ns - self._reached_ns)):
+        if self._reached_ns is None or not (skip_ns := to_skip_ns(now_ns - self._reached_ns)):
             return [], 0
         self._reached_ns += skip_ns
         self._left_out_ns += skip_ns
-        self._left_out_rows += sum(self._skip(name, self._reached_ns) for name in self.estimator.inputs)
+        for name in self.estimator.inputs:
+            if name not in self._kept:
+                rows, lost = self._read(name, self._reached_ns)
+                self._left_out_rows += len(rows) + lost
         text = (
             f"cannot keep up: too late by {1e-9 * skip_ns:.1f} s, goes on after that; "
             f"{self._left_out_rows} rows of {1e-9 * self._left_out_ns:.1f} s left out in all"
         )
         return [event(self._reached_ns, Severity.WARNING, "estimator_skips", "estimation", text)], skip_ns
-
-    def _skip(self, name: str, until_ns: int) -> int:
-        """Leave out the unread rows of an input up to ``until_ns``; how many."""
-        if name in self._kept:
-            return 0
-        rows, lost = self._read(name, until_ns)
-        return len(rows) + lost
 
     def finish(self, now_ns: int, over: Callable[[], bool] = lambda: False) -> None:
         """The last steps: nothing more will arrive, so rows are made up to the last sample.

@@ -64,10 +64,8 @@ def budgets(found: Identification) -> RenderableType:
             table = _table(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
             for one in log.budget[name]:
                 if one.share >= _LEAST_SHARE:
-                    bar = "#" * max(1, round(_BAR * one.share))
-                    table.add_row(
-                        f"{one.share:4.0%} {bar:{_BAR}s}", f"{one.sigma:.2g}", Text(one.cause, justify="left")
-                    )
+                    share = f"{one.share:4.0%} {'#' * max(1, round(_BAR * one.share)):{_BAR}s}"
+                    table.add_row(share, f"{one.sigma:.2g}", Text(one.cause, justify="left"))
             parts.append(table)
     return Group(*parts) if parts else Text(_NO_BUDGET)
 
@@ -97,14 +95,8 @@ def _one(log: Identified) -> list[RenderableType]:
     for answer in log.answers:
         if answer.supported:
             interval = f"{answer.low:.4g} .. {answer.high:.4g}"
-            answers.add_row(
-                answer.name,
-                answer.unit,
-                f"{answer.value:.4g}",
-                interval,
-                f"{answer.bound:.1g}",
-                log.standing(answer).level,
-            )
+            numbers = f"{answer.value:.4g}", interval, f"{answer.bound:.1g}"
+            answers.add_row(answer.name, answer.unit, *numbers, log.standing(answer).level)
     notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     notes.add_column(no_wrap=True)
     notes.add_column(overflow="fold")

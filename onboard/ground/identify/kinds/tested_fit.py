@@ -6,7 +6,7 @@ from onboard.estimation.errors import EstimationError
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.identification.corrections import doubtful
-from onboard.identification.verdict import Evidence
+from onboard.identification.verdict import TOO_SHORT
 from onboard.identification.whole_flight.parts import halves
 from onboard.identification.whole_flight.stated import bound_of, leans_on
 from onboard.identification.whole_flight.witnesses import Tested
@@ -21,7 +21,7 @@ def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> likeli
         row_names: of the lines.
     """
     flight, found = made.flight, made.found
-    held_out, unchecked = None, Evidence._field_defaults["unchecked"]
+    held_out, unchecked = None, TOO_SHORT
     try:
         held_out = halves(flight, found)
     except EstimationError as error:

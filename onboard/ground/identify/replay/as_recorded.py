@@ -29,7 +29,7 @@ from onboard.estimation.smoothing import CUTS_OFF
 from onboard.estimation.stuck import StuckReadings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed, same_unit
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed, same_unit
 from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
 from onboard.identification.rows.held_out import halves
@@ -46,11 +46,11 @@ a column that says by 0 and 1 whether the payload is held."""
 _WHOLE = 0.05  # by which what is a whole number may differ from it: steps in quanta, besides what is rounded; samples
 
 
-class WidthChoice(NamedTuple):
-    """A width and why."""
+class RecordedVehicle(NamedTuple):
+    """A vehicle as its recording says."""
 
     vehicle: config.Vehicle
-    said: str
+    said: tuple[str, ...]  # what differs from its file
 
 
 def with_width(vehicle: config.Vehicle, width_ms: float, rows: float = _ROWS) -> config.Vehicle:
@@ -79,7 +79,7 @@ def best_width(errors: Mapping[float, float]) -> tuple[float, str]:
     )
 
 
-def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
+def chosen(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle | None:
     """The vehicle with the width that its recording asks for; None where it cannot be determined.
 
     Args:
@@ -98,15 +98,13 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
         return None
     errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
     best_ms, said = best_width(errors)
-    return WidthChoice(with_width(vehicle, best_ms), said)
+    return RecordedVehicle(with_width(vehicle, best_ms), (said,))
 
 
 def _identified(vehicle: config.Vehicle, log: LogReader) -> Identifier | None:
     """The estimator after the log; None where its rows cannot be halved."""
-    estimator = Estimator(vehicle, at_the_end=True)
-    for _ in feed(estimator, log, AT_ONCE_s):
-        pass
-    return estimator.identifier if halves(estimator.identifier.seen, estimator.identifier) is not None else None
+    who = fed(Estimator(vehicle, at_the_end=True), log, AT_ONCE_s).identifier
+    return who if halves(who.seen, who) is not None else None
 
 
 def _error(who: Identifier, others: list[Identifier]) -> float:
@@ -123,13 +121,6 @@ def _error(who: Identifier, others: list[Identifier]) -> float:
 
 def _left(normal: FloatArray, mean: FloatArray, other: Identifier) -> float:
     return predicted(normal, mean, reference_of(other.model, other.base, normal)).relative_error
-
-
-class RecordedVehicle(NamedTuple):
-    """A vehicle as its recording says."""
-
-    vehicle: config.Vehicle
-    said: tuple[str, ...]  # what differs from its file
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
@@ -173,7 +164,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
     found_so_far = vehicle.model_copy(update={"file": file})
     if free or thrown or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
-    return RecordedVehicle(choice.vehicle, (*said, choice.said))
+    return RecordedVehicle(choice.vehicle, (*said, *choice.said))
 
 
 def _ticks(devices: Mapping[str, object], rate_Hz: float, *, whole: bool) -> float:

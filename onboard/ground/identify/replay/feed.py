@@ -128,6 +128,13 @@ def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> I
     yield from estimator.process(now_ns, {}, 0)
 
 
+def fed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Estimator:
+    """The estimator after all of a log: see :func:`feed`."""
+    for _ in feed(estimator, log, step_s):
+        pass
+    return estimator
+
+
 def feed_rows(estimator: Estimator, log: LogReader) -> Iterator[Batch]:
     """As :func:`feed`, for ``heft identify`` by rows: in steps of :data:`AT_ONCE_s` where all devices are recorded.
 
