@@ -86,13 +86,11 @@ class EstimationWorker:
         self._longest_ns = max(LONGEST_STEP_NS, 2 * self.period_ns)
         self._left_out_ns, self._left_out_rows = 0, 0
         self._hand_over = None if estimator.vehicle.hand_over is None else HandOver(estimator.vehicle)
-        kept = [
-            name
-            for name, device in estimator.vehicle.file.device.items()
-            if estimator.vehicle.rate_hz(name) * self.period_ns <= 1e9
-            or (isinstance(device, BusDevice) and device.tells_changes)
-        ]
-        self._kept = {channel for name in kept for channel in estimator.vehicle.file.device[name].channels(name)}
+        self._kept = set[str]()  # channels of which no row is left out
+        for name, device in estimator.vehicle.file.device.items():
+            tells_changes = isinstance(device, BusDevice) and device.tells_changes
+            if tells_changes or estimator.vehicle.rate_hz(name) * self.period_ns <= 1e9:
+                self._kept.update(device.channels(name))
 
     def step(self, now_ns: int) -> None:
         """Consume the records since the last step; if they span more than 0.5 s, the oldest 0.5 s of them."""
@@ -132,10 +130,8 @@ class EstimationWorker:
         """
         while (until_ns := self._until(now_ns)) < now_ns:
             if over():
-                left_s = 1e-9 * (now_ns - (self._reached_ns or now_ns))
-                text = (
-                    f"the last {left_s:.1f} s of the flight are not taken in: the computer is busy; heft identify does"
-                )
+                left = f"{1e-9 * (now_ns - (self._reached_ns or now_ns)):.1f} s"
+                text = f"the last {left} of the flight are not taken in: the computer is busy; heft identify does"
                 said = event(now_ns, Severity.WARNING, "estimator_unfinished", "estimation", text)
                 self._publisher.publish([said])
                 return
@@ -260,17 +256,15 @@ class DurableEstimation:
             checkpoint = self._checkpoints.load()
         except StateError as error:
             why = f"its checkpoint cannot be used ({error})"
-        brought_back = False
         if checkpoint is not None:
             why = self._redo(checkpoint, ticks, now_ns)
-            brought_back = not why
         for column, (name, reader) in enumerate(self._inputs.items()):
             consumed = ticks[ticks["consumed"][:, column] > 0]
             if len(consumed):
                 reader.seek_after(int(consumed["last_sequence"][-1, column]))
             elif checkpoint is not None:
                 reader.position = checkpoint.positions[name]
-        if checkpoint is not None and brought_back:
+        if checkpoint is not None and not why:
             self._checkpoints.taken_over()
             estimator = checkpoint.estimator
             return EstimationWorker(estimator, self._inputs, self._publisher, done, reached_ns=reached_ns), True

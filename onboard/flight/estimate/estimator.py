@@ -303,14 +303,9 @@ class Estimator:
         refused = np.zeros(len(at_ns), np.int64)
         if settings.phases:
             changes_ns, codes = self._phases.changes
-            refused |= phase_gate(
-                at_ns * 1e-9,
-                changes_ns * 1e-9,
-                codes,
-                settings.phases.identify,
-                settings.phases.settle_ms * 1e-3,
-                0.5 * settings.smoothing_ms * 1e-3,
-            )
+            settle_s, kernel_s = settings.phases.settle_ms * 1e-3, 0.5 * settings.smoothing_ms * 1e-3
+            known = changes_ns * 1e-9, codes, settings.phases.identify
+            refused |= phase_gate(at_ns * 1e-9, *known, settle_s, kernel_s)
         if settings.gates.joint_limits_deg:
             low, high = np.radians(settings.gates.joint_limits_deg)
             refused |= range_gate(joints[0], low, high, GateReason.CONTACT)

@@ -31,7 +31,7 @@ from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuant
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
-from onboard.ground.identify.kinds.residuals import keep_rows
+from onboard.ground.identify.kinds.residuals import KeptRows
 from onboard.ground.identify.kinds.table_log import identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
@@ -40,13 +40,14 @@ from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.budget import budget
-from onboard.identification.rows.checks.prediction import HeldOutFit
+from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
 from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
 from onboard.identification.standing import Level
 from onboard.identification.verdict import Evidence
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
@@ -189,7 +190,8 @@ def _one(
     estimator = Estimator(vehicle, at_the_end=True)
     who = estimator.identifier
     who.about = about
-    kept = keep_rows(who)
+    kept = KeptRows(who.seen.instruments)
+    who.seen.listener = kept.keep
     method = vehicle.file.estimation.method
     last = None
     for channel, rows in feed_rows(estimator, log):
@@ -285,20 +287,39 @@ def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
     link, held = who.model.vehicle.spec.payload_link, who.payload is not None
     told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
     twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()
-    return tuple(
-        IdentifiedQuantity(
-            printable(row["name"]),
-            printable(row["unit"]) or ("kg" if printable(row["name"]) in (f"M_{link}", f"M_{link}_R") else ""),
-            float(row["value"]),
-            float(row["sigma"]),
-            float(row["low"]),
-            float(row["high"]),
-            bool(row["supported"]),
-            float(bound),
-        )
-        for row, bound in zip(rows, who.bounds(), strict=True)
-        if printable(row["name"]) not in twice
-    )
+    found = []
+    for row, bound in zip(rows, who.bounds(), strict=True):
+        name = printable(row["name"])
+        if name not in twice:
+            unit = printable(row["unit"]) or ("kg" if name in (f"M_{link}", f"M_{link}_R") else "")
+            value, sigma, low, high = (float(row[key]) for key in ("value", "sigma", "low", "high"))
+            supported = bool(row["supported"])
+            found.append(IdentifiedQuantity(name, unit, value, sigma, low, high, supported, float(bound)))
+    return tuple(found)
+
+
+def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutFit:
+    """How well the base parameters of one log explain the rows of another.
+
+    Args:
+        vehicle: of both; by rows.
+        found: identification of the first log.
+        other: log to predict; its rows are not used for the parameters.
+
+    Raises:
+        LogFormatError: a file that is no log.
+        ChannelError: a log of another vehicle, or one without a row that could be used.
+        ConfigError: the vehicle's method has no rows.
+    """
+    estimator = Estimator(vehicle, at_the_end=True)
+    for _ in feed_rows(estimator, LogReader(other)):
+        pass
+    who = estimator.identifier
+    values = {answer.name: answer.value for answer in found.answers}
+    if not who.rows_used or not values:
+        which = other if values else found.log
+        raise ChannelError(f"{which} has no row that could be used; heft identify says why")
+    return prediction(who.seen, who.model, who.base, np.array([values[name] for name in who.base.names]))
 
 
 def urdf(vehicle: config.Vehicle, found: Identified) -> str:

@@ -35,7 +35,9 @@ def render(found: Identification) -> RenderableType:
     """The result as tables."""
     told = [Text(f"by the recording: {one}") for one in found.recorded]
     if not any(log.throw for log in found.logs):
-        return Group(*(part for log in found.logs for part in _one(log)), *told, *_predicted(found))
+        for path, one in found.predicted:
+            told.append(Text(f"{path} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %"))
+        return Group(*(part for log in found.logs for part in _one(log)), *told)
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
         mine = [log for log in found.logs if log.throw and log.throw.load.name == name]
@@ -68,11 +70,6 @@ def budgets(found: Identification) -> RenderableType:
                     table.add_row(share, f"{one.sigma:.2g}", Text(one.cause, justify="left"))
             parts.append(table)
     return Group(*parts) if parts else Text(_NO_BUDGET)
-
-
-def _predicted(found: Identification) -> Iterator[Text]:
-    for log, one in found.predicted:
-        yield Text(f"{log} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %")
 
 
 def _verdict(verdict: Verdict) -> Text:

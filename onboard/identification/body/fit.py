@@ -131,7 +131,7 @@ class BodyModel:
     def begun(self, poses: TrackedPoses) -> Begun:
         """How :meth:`fit` begins, which has the arguments and the errors."""
         windows = windows_of(poses, self.tracker.noise, self._stated.delay_s[1])
-        return Begun(windows, self._descend(windows, 0.0, self._begun(windows), NEAR_MINIMUM, _LOOKS)[0])
+        return Begun(windows, self._descend(windows, 0.0, self._begun(windows))[0])
 
     def fit(self, poses: TrackedPoses, first: Begun | None = None) -> BodyFit:
         """The unknowns that explain the poses best.
@@ -145,19 +145,19 @@ class BodyModel:
         """
         (windows, begun), least_s = first or self.begun(poses), 0.0
         for tried_s in self._leasts():
-            other, _ = self._descend(windows, tried_s, begun.x, NEAR_MINIMUM, _LOOKS)
+            other, _ = self._descend(windows, tried_s, begun.x)
             if other.residual_sum > MISFIT_REFUSED * begun.residual_sum:
                 break  # longer pulses opened the valves
             if other.residual_sum < begun.residual_sum - _BETTER * (least_s == 0.0):
                 begun, least_s = other, tried_s
-        found, settled = self._descend(windows, least_s, begun.x, MINIMUM, ITERATIONS)
+        found, settled = self._descend(windows, least_s, begun.x, whole=True)
         white = self._whiteners(found.x, windows, least_s)
         rows, spread = sum(noise.size for noise in windows.noise), sum(one.log_determinant for one in white)
-        other, _ = self._descend(windows, least_s, found.x, NEAR_MINIMUM, _LOOKS, white)
+        other, _ = self._descend(windows, least_s, found.x, white)
         likelier = rows * float(np.log(found.residual_sum / other.residual_sum)) > spread  # the noise's scale unknown
         scattered = likelier and other.residual_sum < MISFIT_REFUSED * rows
         if scattered:
-            found, settled = self._descend(windows, least_s, other.x, MINIMUM, ITERATIONS, white)
+            found, settled = self._descend(windows, least_s, other.x, white, whole=True)
         white = white if scattered else ()
         parts = self._parts(found.x, windows, least_s, white)
         late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self.thrusters.valves]).mean())
@@ -212,15 +212,10 @@ class BodyModel:
         return x
 
     def _descend(
-        self,
-        windows: PoseWindows,
-        least_s: float,
-        x: FloatArray,
-        tolerance: float,
-        most: int,
-        white: Sequence[Whitener] = (),
+        self, windows: PoseWindows, least_s: float, x: FloatArray, white: Sequence[Whitener] = (), whole: bool = False
     ) -> tuple[Fit, bool]:
-        """The minimum, or the best point after so many predictions; whether it is the minimum."""
+        """The best point after a few predictions, or ``whole``: after many; whether it is the minimum."""
+        tolerance, most = (MINIMUM, ITERATIONS) if whole else (NEAR_MINIMUM, _LOOKS)
         prior = np.diag(np.concatenate([self.sigma**-2, np.zeros(x.size - len(self.names))]))
         descent = Descent(x, np.zeros_like(x), prior, most + 1, tolerance)
         for _ in range(most):

@@ -80,7 +80,9 @@ def others(model: BodyModel, poses: TrackedPoses) -> Iterator[Interpretation]:
         forces = np.zeros((len(some), *full.shape))
         for k, one in enumerate(some):
             forces[k, list(one.valves)] = np.array(one.signs)[:, None] * full
-        least = solved(found, forces, model.tracker.place_m, _read(model, axes)).least
+        y, yaw, quarters = _AXES[axes]
+        read = PoseAxes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
+        least = solved(found, forces, model.tracker.place_m, read).least
         return (_Way(left, axes, one) for left, one in zip(least.tolist(), some, strict=True))
 
     stated = _Commands((), tuple(range(len(names))), (1.0,) * len(names))
@@ -102,11 +104,6 @@ def _changed(now: _Commands, names: Sequence[str]) -> Iterator[_Commands]:
         yield _Commands((*now.said, f"{pair} are exchanged"), valves, now.signs)
     for name, factor in zip(names, turned(len(names)), strict=True):
         yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, tuple(factor * now.signs))
-
-
-def _read(model: BodyModel, axes: int) -> PoseAxes:
-    y, yaw, quarters = _AXES[axes]
-    return PoseAxes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
 
 
 def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Interpretation:

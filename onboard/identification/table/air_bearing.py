@@ -121,8 +121,10 @@ class TableFit(MotionFit):
         Raises:
             EstimationError, SignalError: as :meth:`MotionFit.fit`.
         """
-        fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM)
-        return self._dragged(self.found(fitted))
+        return self._dragged(self._finished(x))
+
+    def _finished(self, x: FloatArray) -> PayloadFit:
+        return self.found(fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM))
 
     def _dragged(self, found: PayloadFit) -> PayloadFit:
         """The same, or where pucks push in it the fit from where these drags are zero, if it is likelier."""
@@ -133,10 +135,9 @@ class TableFit(MotionFit):
         x[pushing] = 0.0
         try:
             x = self.held(x, pushing, NEAR_MINIMUM, self.ticks, Work(ITERATIONS * self.ticks)).x
-            fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM)
+            return min(found, self._finished(x), key=lambda one: one.fit.residual_sum)
         except EstimationError:
             return found
-        return min(found, self.found(fitted), key=lambda one: one.fit.residual_sum)
 
     def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "TableFit":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""

@@ -220,7 +220,9 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         if settings.masses:
             stated = settings.masses.drawing.items()
             drawing = {link: DrawingTolerance(*own.model_dump().values()) for link, own in stated}
-            _check_links(drawing, model)
+            for link in drawing:
+                if link not in model.links:
+                    raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
             quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
         if vehicle.file.free_body:
             quantities += free_body_quantities(row_model, base, prior)
@@ -262,12 +264,6 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
         raise config.ConfigError(f"{vehicle.label}: {text}. Go on with the vehicle that flew then")
     sensitivity = np.array(carried.sensitivity, np.float64).reshape(len(names), -1)
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
-
-
-def _check_links(drawing: Mapping[str, DrawingTolerance], model: VehicleModel) -> None:
-    for link in drawing:
-        if link not in model.links:
-            raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
 
 
 def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:

@@ -67,9 +67,8 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     """
     model, roles = build_model(vehicle), roles_of(vehicle)
     if not model.spec.base.floats:
-        raise config.ConfigError(
-            f'{vehicle.label}: base = "{model.spec.base}"; only of a floating base is a motion predicted'
-        )
+        text = f'base = "{model.spec.base}"; only of a floating base is a motion predicted'
+        raise config.ConfigError(f"{vehicle.label}: {text}")
     if not roles.imus or not model.joints:
         raise config.ConfigError(f"{vehicle.label}: an IMU and a joint are needed to predict and compare a motion")
     settings = vehicle.file.estimation

@@ -174,7 +174,7 @@ def _answers(
     effects = causes.effects(scale[:, None] * found.fit.covariance[at])
     leans = causes.said(effects, scale * sigma, np.abs(values))
     told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
-    if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:
+    if model.weighed:
         told[0] = bool(np.isfinite(sigma[0]))  # stated; what is found of it cannot be less known
     units = ("kg", "m", "m", "kg m^2", "s", "m/s^2", "m/s^2")
     bound = scale * np.sqrt(np.diag(P)[at])

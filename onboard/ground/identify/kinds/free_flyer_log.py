@@ -28,7 +28,6 @@ from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.change import Change, CONTACT_s
@@ -129,8 +128,8 @@ class _Flight:
         if best.found.glitches:
             residual = kept.refused.get("residual", 0) + best.found.glitches
             kept = kept._replace(refused={**kept.refused, "residual": residual})
-        said = likelihood_log.identified_of(kept, fitted_of(best, self._period_s, self._online.row_names))
-        return replace(said, before=self._before(best))
+        checked = likelihood_log.fitted_of(best, self._period_s, self._online.row_names)
+        return replace(likelihood_log.identified_of(kept, checked), before=self._before(best))
 
     def _misread(self) -> str:
         """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""

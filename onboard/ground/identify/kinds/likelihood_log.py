@@ -16,20 +16,25 @@ import numpy as np
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
 from onboard.estimation.arrays import FloatArray, finite, gaps
+from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.rls import Observability
 from onboard.flight.estimate.answers import INSTRUMENTS, change_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, answers_of, judged, standings
-from onboard.ground.identify.kinds.residuals import Residuals
+from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
+from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.useful import Useful
-from onboard.identification.verdict import Evidence
+from onboard.identification.verdict import TOO_SHORT, Evidence
+from onboard.identification.whole_flight.parts import halves
+from onboard.identification.whole_flight.stated import bound_of, leans_on
+from onboard.identification.whole_flight.witnesses import Tested
 from onboard.recording.reader import LogReader
 
 LONGEST_S = 60.0  # of flight that is fitted as a whole
@@ -88,6 +93,38 @@ def no_answer(
     nothing = dict.fromkeys(_names(kept), False)
     evidence = Evidence(used, {**kept.refused, **idle}, nothing, None, failure=failure)
     return replace(judged(kept.log, evidence, misread=misread), refused=dict(kept.refused))
+
+
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> CheckedFit:
+    """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
+
+    Args:
+        made: the fit.
+        period_s: between ticks.
+        row_names: of the lines.
+    """
+    flight, found = made.flight, made.found
+    held_out, unchecked = None, TOO_SHORT
+    try:
+        held_out = halves(flight, found)
+    except EstimationError as error:
+        unchecked = half_too_short(error)
+    return CheckedFit(
+        found.payload,
+        found.chi,
+        found.chi_covariance,
+        bound_of(flight, found),
+        sum(block.rows for block in found.blocks),
+        found.misfit,
+        max(1.0, found.misfit, *found.by_instrument.values()),
+        made.corrections,
+        held_out,
+        unchecked,
+        by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
+        findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
+        leans=leans_on(flight, found),
+        outer=found.outer,
+    )
 
 
 def identified_of(kept: Kept, found: CheckedFit) -> Identified:

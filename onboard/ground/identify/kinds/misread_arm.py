@@ -77,9 +77,8 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     best, best_way = min(ways, key=lambda one: one[0])
     if best >= least:
         return ""
-    said = best_way.said
     what = "merge them in their order" if best_way.held_before else "correct the mapping, or the URDF"
-    return f"much less would be left over if {said}: {what}"
+    return f"much less would be left over if {best_way.said}: {what}"
 
 
 class _ArmRecording:

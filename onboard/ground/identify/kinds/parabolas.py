@@ -114,10 +114,12 @@ def _run(
     time_s, margin = ticks.time_s, round(settings.settle_s / period_s)
     release_s, catch_s = float(time_s[parts[0].start]), float(time_s[parts[-1].stop - 1])
     bumps = tuple(float(0.5 * (time_s[a.stop - 1] + time_s[b.start])) for a, b in pairwise(parts))
-    moving = (at == Stage.MOTION) & _within(len(at), parts)
+    moving, inside = np.zeros((2, len(at)), np.bool_)
+    for one in parts:
+        moving[one] = at[one] == Stage.MOTION
+        inside[one.start + margin : one.stop - margin] = True
     motions = _motions(moving, time_s)
-    inside = [slice(one.start + margin, one.stop - margin) for one in parts]
-    whole = [piece for one in inside for piece in _where(joints, one) if piece.stop - piece.start > 2 * margin]
+    whole = [piece for piece in _spans(joints & inside) if piece.stop - piece.start > 2 * margin]
     reason = ""
     if sum(one.stop - one.start for one in whole) * period_s < settings.shortest_s:
         reason = f"free for {catch_s - release_s:.1f} s only"
@@ -155,17 +157,6 @@ def _motions(moving: BoolArray, time_s: FloatArray) -> tuple[tuple[float, float]
             found.append(one)
     long = [one for one in found if one.stop - one.start >= SHORTEST]
     return tuple((float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
-
-
-def _within(count: int, parts: Sequence[slice]) -> BoolArray:
-    found = np.zeros(count, np.bool_)
-    for one in parts:
-        found[one] = True
-    return found
-
-
-def _where(true: BoolArray, within: slice) -> list[slice]:
-    return [slice(one.start + within.start, one.stop + within.start) for one in _spans(true[within])]
 
 
 def _spans(true: Any) -> list[slice]:

@@ -21,9 +21,8 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.ground.identify.kinds.identified import Identified, RunAnswer
-from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
+from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, fitted_of, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
-from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.corrections import misfit_texts

@@ -12,7 +12,7 @@ parameters predict best, in all of these bands together, is taken.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed, same_unit
 from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
-from onboard.identification.rows.held_out import halves
+from onboard.identification.rows.held_out import Half, halves
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
@@ -87,40 +87,27 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle | None:
         log: its recording.
     """
     slowest_s = max(signal.period_s for signal in roles_of(vehicle).signals.values())
-    by_width = dict[float, Identifier]()
-    for width_ms in WIDTHS_ms:
-        if 1e-3 * width_ms < FEWEST_SAMPLES * slowest_s:
-            continue
-        who = _identified(with_width(vehicle, width_ms, 0.5 * _ROWS), log)
-        if who is not None:
-            by_width[width_ms] = who
+    by_width = dict[float, tuple[Identifier, tuple[Half, Half]]]()
+    for width_ms in (one for one in WIDTHS_ms if 1e-3 * one >= FEWEST_SAMPLES * slowest_s):
+        estimator = Estimator(with_width(vehicle, width_ms, 0.5 * _ROWS), at_the_end=True)
+        who = fed(estimator, log, AT_ONCE_s).identifier
+        if (by_halves := halves(who.seen, who)) is not None:
+            by_width[width_ms] = who, by_halves
     if len(by_width) < 2:
         return None
-    errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
+    errors = {width_ms: _error(own, by_width.values()) for width_ms, (_, own) in by_width.items()}
     best_ms, said = best_width(errors)
     return RecordedVehicle(with_width(vehicle, best_ms), (said,))
 
 
-def _identified(vehicle: config.Vehicle, log: LogReader) -> Identifier | None:
-    """The estimator after the log; None where its rows cannot be halved."""
-    who = fed(Estimator(vehicle, at_the_end=True), log, AT_ONCE_s).identifier
-    return who if halves(who.seen, who) is not None else None
-
-
-def _error(who: Identifier, others: list[Identifier]) -> float:
+def _error(own: tuple[Half, Half], bands: Iterable[tuple[Identifier, tuple[Half, Half]]]) -> float:
     """Geometric mean over all bands of what parameters of one half leave of the other half."""
-    by_halves = halves(who.seen, who)
-    assert by_halves is not None
-    left = list[float]()
-    for other in others:
-        rows = halves(other.seen, other)
-        assert rows is not None
-        left += [_left(half.normal, mine.mean, other) for half, mine in zip(rows[::-1], by_halves, strict=True)]
+    left = [
+        predicted(half.normal, mine.mean, reference_of(who.model, who.base, half.normal)).relative_error
+        for who, rows in bands
+        for half, mine in zip(rows[::-1], own, strict=True)
+    ]
     return float(np.exp(np.mean(np.log(left))))
-
-
-def _left(normal: FloatArray, mean: FloatArray, other: Identifier) -> float:
-    return predicted(normal, mean, reference_of(other.model, other.base, normal)).relative_error
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:

@@ -68,7 +68,8 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     log = LogReader(path)
     with TemporaryDirectory() as directory:
         flown = vehicle_of(log, Path(directory))
-        vehicle = _with(flown, settings)
+        over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
+        vehicle = config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
         if vehicle.channels != flown.channels:
             raise config.ConfigError(
                 f"{settings} changes the devices' channels, which a flight that is over cannot; change [estimation], "
@@ -90,11 +91,6 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     said = summary(log)
     said.clocks = {}
     return Reestimate(tuple(_changes(flown, vehicle)), said, now, short, log.damage)
-
-
-def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
-    over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
-    return config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 
 def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[SettingChange]:
