@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from bench import given
 from onboard import config
-from onboard.ground.identify.identify import identify
-from onboard.ground.identify.predict import predict
+from onboard.ground.identify.identify import identify, predict
 from onboard.ground.log.bring_in.importer import import_recordings
 
 Floats = NDArray[np.float64]

@@ -46,7 +46,7 @@ from onboard.flight.store import rings
 from onboard.flight.store.directories import scratch
 from onboard.flight.store.flight_log import open_simulated_recorder
 from onboard.ground.identify.mission import mission_table
-from onboard.ground.identify.mission.accounts import Account, accounts, render
+from onboard.ground.identify.mission.accounts import Account, Seen, render
 from onboard.ground.log.views.info import info
 from onboard.recording.reader import LogReader
 
@@ -178,7 +178,10 @@ def flown(seed: int, name: str, faults: list[Fault], without_estimator: bool) ->
                 done = hil.fly_simulated(vehicle, world, urls, path)
                 mission_table.render(mission_table.result(done))
         about, log, start_ns = info(path), LogReader(path), int(done.truth["start_ns"])
-        made = accounts(log, done.produced, start_ns)
+        seen = Seen(done.produced, start_ns)
+        for batch in log.batches():
+            seen.see(batch)
+        made = seen.accounts()
         return {
             "accounts": {n: [c.produced, c.recorded, c.missing, c.about] for n, c in made.items()},
             "unnamed": {n: c.left for n, c in made.items() if not c.is_whole},

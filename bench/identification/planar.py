@@ -33,7 +33,7 @@ from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightAnswer, FlightResult
 from onboard.identification.standing import Level
-from onboard.identification.table.air_bearing import drag_of, table_fit
+from onboard.identification.table.air_bearing import TableFit, drag_of
 from onboard.identification.table.floating_base import AirBearingPrior, DragPrior
 
 Floats = NDArray[np.float64]
@@ -87,7 +87,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     signals = tick_signals(*sampled[:4], sampled[4:], SAMPLES_PER_TICK, SMOOTHING_s)
     model = vehicle()
     links, prior = priors(model)
-    motion_fit = table_fit(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
+    motion_fit = TableFit(model, "imu_base", signals, PAYLOAD_SIGMA, links, prior)
     names, units = ("m", "c_x", "c_y", "I_zz", "Fv", "Fc"), ("kg", "m", "m", "kg m^2", "N s/m", "N")
     own = slice(2 * dragging, 2 * dragging + 2)
     drag = drags[dragging]

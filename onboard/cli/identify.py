@@ -70,7 +70,6 @@ def _identify_with(
     vehicle: "config.Vehicle", arguments: argparse.Namespace, logs: "Sequence[Path | LogReader]" = ()
 ) -> int:
     from onboard.ground.identify import identify, identify_view
-    from onboard.ground.identify.predict import predict
     from onboard.ground.identify.replay import warm_start as carrying
     from onboard.recording.reader import LogReader
 
@@ -87,7 +86,7 @@ def _identify_with(
         task = bar.add_task("identify", total=len(arguments.logs) if len(arguments.logs) > 1 else None)
         found = identify.identify(vehicle, logs or arguments.logs, lambda done: bar.update(task, completed=done))
     if arguments.predict:
-        made = tuple((log, predict(found.vehicle, found.logs[0], log)) for log in arguments.predict)
+        made = tuple((log, identify.predict(found.vehicle, found.logs[0], log)) for log in arguments.predict)
         found = replace(found, predicted=made)
     common.show(identify_view.render(found))
     if arguments.budget:

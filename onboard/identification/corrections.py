@@ -34,16 +34,24 @@ DOUBTFUL = sigmas(of_each(DOUBT))  # of one
 LEAST_TOLD = 0.05  # of a correction's prior variance: what the data must tell of it at least to be compared
 
 
-class Together(NamedTuple):
-    """All corrections held against what the data tell of them."""
+class Chance(NamedTuple):
+    """A sum of squares that is chi-squared if all is as stated."""
 
-    squares: float
-    freedom: float  # degrees of it
+    squares: float = 0.0
+    freedom: float = 0  # degrees of it
 
     @property
     def chance(self) -> float:
-        """Probability of at least as much, if all is as stated."""
+        """Probability of so large a sum; 1 where nothing was compared."""
         return float(chdtrc(self.freedom, self.squares)) if self.freedom else 1.0
+
+    def text(self, part: str, others: str) -> str:
+        """``the load_cell tells another payload than the rest (chi-squared 90 of 6)``."""
+        return f"{part} tells another payload than {others} (chi-squared {self.squares:.0f} of {self.freedom:.0f})"
+
+
+class Together(Chance):
+    """All corrections held against what the data tell of them."""
 
     @property
     def widening(self) -> float:
@@ -81,12 +89,12 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     """
     k = len(corrections)
     if not k:
-        return Together(0.0, 0.0)
+        return Together()
     told = -posterior.T  # LAPACK's order; A + e I
     told.flat[:: k + 1] += 1.0 + LEAST_TOLD
     L, failed = dpotrf(told, lower=True, overwrite_a=True)
     if failed:  # some of them have a wider prior for now than what is stated
-        return Together(0.0, 0.0)
+        return Together()
     solved = dtrsv(L, corrections, lower=True)
     squares, least = float(solved @ solved), (k - float(posterior.trace())) / (1.0 + LEAST_TOLD)
     if least >= 1.0 and squares <= least:  # nothing is improbable, and the inverse takes five times as long
@@ -98,7 +106,7 @@ def together(corrections: FloatArray, posterior: FloatArray) -> Together:
     of_all = 2.0 * float(np.vdot(inverse, inverse)) - float(own @ own)
     square = k - 2.0 * LEAST_TOLD * trace + LEAST_TOLD**2 * of_all
     if mean < ROUNDING * k:
-        return Together(0.0, 0.0)
+        return Together()
     return Together(squares * mean / square, mean * mean / square)
 
 

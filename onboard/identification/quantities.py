@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.inertia import RigidBody
@@ -134,10 +135,7 @@ def inertia_about_joint(vehicle: VehicleModel, joint: str) -> FloatArray:
     ddq[0, vehicle.joints.index(vehicle.joint(joint))] = 1.0
     still = np.zeros((1, 3))
     row = model.regressor(np.zeros_like(ddq), np.zeros_like(ddq), ddq, BaseMotion(still, still, still))[0, 0]
-    parts = np.zeros((len(vehicle.links), row.size))
-    for link in range(len(vehicle.links)):
-        parts[link, 10 * link : 10 * link + 10] = row[10 * link : 10 * link + 10]
-    return parts
+    return block_diag(*row.reshape(-1, 10))
 
 
 def mass_quantities(
@@ -169,9 +167,7 @@ def mass_quantities(
     if payload is None or arm_link not in vehicle.links:
         raise UnknownFrameError(f"masses need a payload link and a link {arm_link!r}; links are {vehicle.links}")
     parts = inertia_about_joint(vehicle, joint)
-    functionals = []
-    masses = []
-    leanings: list[dict[str, float]] = []
+    of_links = list[tuple[FloatArray, FloatArray, tuple[Leaning, ...]]]()  # inertia, mass, and what this leans on
     for link in (arm_link, payload):
         index = vehicle.links.index(link)
         inertia = float(parts[index] @ vehicle.chi)
@@ -180,23 +176,20 @@ def mass_quantities(
             raise SignalError(f"link {link!r} has no mass or no inertia about {joint!r} in the URDF; masses need both")
         padded = np.zeros(len(model.names))
         padded[: parts.shape[1]] = parts[index]
-        functionals.append(base.weights(padded))
-        masses.append((mass, inertia))
-        tolerance = tolerances.get(link, DrawingTolerance())
-        leanings.append(_gyration_sigma(parts[index], vehicle.chi[10 * index : 10 * index + 10], 10 * index, tolerance))
-    (arm, tip), ((m_arm, zz_arm), (m_tip, zz_tip)) = functionals, masses
-    of_arm = _leaning(arm_link, arm * m_arm / zz_arm, leanings[0])
-    of_tip = _leaning(payload, tip * m_tip / zz_tip, leanings[1])
-    drawn = "radii of gyration from the drawing"
-    known = m_arm, m_arm * tolerances.get(arm_link, DrawingTolerance()).mass
+        weights = base.weights(padded)
+        tolerance, chi = tolerances.get(link, DrawingTolerance()), vehicle.chi[10 * index : 10 * index + 10]
+        sigmas, by_mass = _gyration_sigma(parts[index], chi, 10 * index, tolerance), weights * mass / inertia
+        leaning = tuple(Leaning(f"the {what} of {link}", by_mass * sigma) for what, sigma in sigmas.items())
+        of_links.append((weights, by_mass, leaning))
+    (arm, m_arm, of_arm), (tip, m_tip, of_tip) = of_links
+    drawn, mass = "radii of gyration from the drawing", float(vehicle.chi[10 * vehicle.links.index(arm_link)])
+    known = mass, mass * tolerances.get(arm_link, DrawingTolerance()).mass
     return (
         Quantity(f"ZZ_{joint}_R_held", "kg m^2", arm + tip),
         Quantity(f"ZZ_{joint}_R_released", "kg m^2", arm),
-        Quantity(f"m_{arm_link}", "kg", arm * m_arm / zz_arm, drawn, of_arm, known),
-        Quantity(
-            f"m_{arm_link}+m_{payload}", "kg", arm * m_arm / zz_arm + tip * m_tip / zz_tip, drawn, (*of_arm, *of_tip)
-        ),
-        Quantity(f"m_{payload}", "kg", tip * m_tip / zz_tip, drawn, of_tip),
+        Quantity(f"m_{arm_link}", "kg", m_arm, drawn, of_arm, known),
+        Quantity(f"m_{arm_link}+m_{payload}", "kg", m_arm + m_tip, drawn, (*of_arm, *of_tip)),
+        Quantity(f"m_{payload}", "kg", m_tip, drawn, of_tip),
     )
 
 
@@ -226,7 +219,3 @@ def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: Dr
         "place": moment * tolerance.length_m if own[1:4].any() else 0.0,  # none on the joint's axis
         "radius of gyration": abs(about_centre) * tolerance.inertia / whole,
     }
-
-
-def _leaning(link: str, weights: FloatArray, sigmas: Mapping[str, float]) -> tuple[Leaning, ...]:
-    return tuple(Leaning(f"the {what} of {link}", weights * sigma) for what, sigma in sigmas.items())

@@ -15,7 +15,7 @@ class Level(StrEnum):
     DO_NOT_USE = "do not use"
 
 
-LEVELS = (Level.GOOD, Level.WEAK, Level.DO_NOT_USE)  # by their number in QUANTITY
+LEVELS = tuple(Level)  # by their number in QUANTITY
 
 
 class Standing(NamedTuple):

@@ -32,6 +32,9 @@ from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.standing import Level, Standing
 
+_JUMPED = "the angle of a joint jumps between two samples; nothing is used from there until it jumps back"
+TOO_SHORT = "too short to be checked on motion that was not used"
+
 
 class Verdict(NamedTuple):
     """A level and its reasons."""
@@ -62,7 +65,7 @@ class Evidence(NamedTuple):
     findings: Findings = Findings()  # about all quantities
     standings: Mapping[str, Standing] = MappingProxyType({})  # of what was asked and is determined
     corrections: Mapping[str, float] = MappingProxyType({})  # fitted to the instruments: by name, in stated sigmas
-    unchecked: str = "too short to be checked on motion that was not used"  # why nothing is held out, where it is not
+    unchecked: str = TOO_SHORT  # why nothing is held out, where it is not
 
 
 def verdict(evidence: Evidence) -> Verdict:
@@ -92,7 +95,8 @@ def standings_of(evidence: Evidence) -> dict[str, Standing]:
 def _of_all(evidence: Evidence) -> Findings:
     """What concerns all quantities: contradictions, prediction of one half from the other, corrections."""
     against = [*_contradictions(evidence), *evidence.findings.against]
-    doubts = [*evidence.findings.doubts, *_jumped(evidence), *doubtful(evidence.corrections)]
+    jumped = [_JUMPED] * bool(evidence.refused.get("jumped"))
+    doubts = [*evidence.findings.doubts, *jumped, *doubtful(evidence.corrections)]
     held_out = evidence.held_out
     if held_out is None:
         doubts += [evidence.unchecked] * bool(evidence.unchecked)
@@ -103,11 +107,6 @@ def _of_all(evidence: Evidence) -> Findings:
         elif held_out.worst.relative_error >= MOSTLY:
             doubts.append(said)
     return Findings(tuple(against), tuple(doubts), evidence.findings.widened)
-
-
-def _jumped(evidence: Evidence) -> list[str]:
-    said = "the angle of a joint jumps between two samples; nothing is used from there until it jumps back"
-    return [said] if evidence.refused.get("jumped") else []
 
 
 def _contradictions(evidence: Evidence) -> list[str]:

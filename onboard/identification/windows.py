@@ -4,7 +4,7 @@ Unknowns are p of the body and its instruments, then the state of each window in
 :class:`Part`; windows meet in the first p unknowns alone.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -56,16 +56,25 @@ class WindowedFit(NamedTuple):
         return np.asarray(np.diag(C) + (self.wider - 1.0) * np.maximum(np.diag(C) - stated, 0.0), np.float64)
 
 
+def summed(parts: Iterable[tuple[IndexArray, Normal]], size: int) -> Normal:
+    """Normal equations of all parts, each of the unknowns at some places among ``size``."""
+    information, gradient, squares = np.zeros((size, size)), np.zeros(size), 0.0
+    for at, normal in parts:
+        information[np.ix_(at, at)] += normal.information
+        gradient[at] += normal.gradient
+        squares += normal.squares
+    return Normal(information, gradient, squares)
+
+
 def total(parts: Iterable[Part], p: int, size: int) -> Normal:
     """Normal equations of all windows, of ``size`` unknowns, the first p of which they share."""
-    information, gradient, squares = np.zeros((size, size)), np.zeros(size), 0.0
-    for k, (r, J, _) in enumerate(parts):
-        state = J.shape[1] - p
-        at = np.concatenate([np.arange(p), p + state * k + np.arange(state)])
-        information[np.ix_(at, at)] += J.T @ J
-        gradient[at] += J.T @ r
-        squares += float(r @ r)
-    return Normal(information, gradient, squares)
+
+    def placed() -> Iterator[tuple[IndexArray, Normal]]:
+        for k, (r, J, _) in enumerate(parts):
+            state = J.shape[1] - p
+            yield np.concatenate([np.arange(p), p + state * k + np.arange(state)]), Normal.of(r, J)
+
+    return summed(placed(), size)
 
 
 def judged(found: Fit, parts: Iterable[Part], p: int, sensors: int) -> WindowedFit:

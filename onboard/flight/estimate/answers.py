@@ -70,9 +70,9 @@ class Answers:
         answers["low_999"][:p], answers["high_999"][:p] = outer_of(estimate.mean, estimate.low, estimate.high)
         answers["supported"][:p] &= np.array([name not in self._nuisance for name in estimate.names], np.bool_)
         answers["name"][:p] = [name.encode() for name in estimate.names]
-        of_all = _of_all(findings)
+        of_all = Standing(Level.GOOD).after(findings._replace(widened=()))
         known = answers["supported"][:p] != 0
-        unknown = of_all if findings.against else Standing(Level.WEAK, "not determined by the data so far")
+        unknown = Standing(Level.WEAK, "not determined by the data so far").after(Findings(findings.against))
         for found, mine in ((of_all, known), (unknown, ~known)):
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), _shortened(found.why)
         if of_all.level is Level.DO_NOT_USE:
@@ -110,12 +110,6 @@ def _upper(size: int) -> tuple[NDArray[np.intp], ...]:
     return np.triu_indices(size)
 
 
-def _of_all(findings: Findings) -> Standing:
-    if findings.against:
-        return Standing(Level.DO_NOT_USE, "; ".join(findings.against))
-    return Standing(Level.WEAK, "; ".join(findings.doubts)) if findings.doubts else Standing(Level.GOOD)
-
-
 _NUMBERS = ["value", "sigma", "low", "high", "low_999", "high_999", "drawn"]
 _OF_QUANTITY = [*_NUMBERS, "supported", "unit", "name", "level", "why"]
 WHY, _TEXT = channels.QUANTITY["why"].itemsize, EVENT["text"].itemsize
@@ -149,7 +143,7 @@ _CHANGES = {
 
 
 PAYLOAD_CHANGES = ("change", "capture", "ejection", "contact", "instrument", "altered")
-_INSTRUMENTS = ("left_out", "taken_back")
+INSTRUMENTS = ("left_out", "taken_back")
 _REJECTED = ("release_contradicted", "capture_contradicted")
 _AGO = re.compile(r"(-?\d+\.\d\d) s ago")
 
@@ -166,23 +160,14 @@ def change_event(now_ns: int, change: Change) -> Batch:
     return event(now_ns, severity, change.kind, "estimation", text)
 
 
-def instrument_of(row: np.void) -> Change | None:
-    """The instrument that an EVENT of :func:`change_event` leaves out or takes back; None for any other event."""
-    kind = row["code"].decode("ascii", "replace")
-    if row["source"] != b"estimation" or kind not in _INSTRUMENTS:
-        return None
-    name, _, _ = row["text"].decode("utf-8", "replace").partition(" ")
-    at_s = 1e-9 * float(row["host_ns"])
-    return Change(kind, at_s, at_s, np.nan, name)
-
-
 def change_of(row: np.void) -> Change | None:
-    """The change that an EVENT of :func:`change_event` tells, to the 10 ms of its text; None for any other event."""
+    """The change that an EVENT of :func:`change_event` tells, to the 10 ms of its text; None for any other event.
+
+    Of an instrument that is left out or taken back it has the name.
+    """
     kind, text = row["code"].decode("ascii", "replace"), row["text"].decode("utf-8", "replace")
-    ago_s = [float(number) for number in _AGO.findall(text)]
-    if kind in _REJECTED:
-        ago_s = [0.0]
-    if row["source"] != b"estimation" or kind not in (*PAYLOAD_CHANGES, *_REJECTED) or not ago_s:
+    ago_s = [0.0] if kind in (*INSTRUMENTS, *_REJECTED) else [float(number) for number in _AGO.findall(text)]
+    if row["source"] != b"estimation" or kind not in (*PAYLOAD_CHANGES, *INSTRUMENTS, *_REJECTED) or not ago_s:
         return None
     at_s, since_s = (1e-9 * float(row["host_ns"]) - ago for ago in (ago_s[0], ago_s[-1]))
-    return Change(kind, at_s, since_s, np.nan)
+    return Change(kind, at_s, since_s, np.nan, text.partition(" ")[0] if kind in INSTRUMENTS else "")

@@ -75,13 +75,14 @@ class Asking:
         if library.unknowns != tuple(predictor.names) or library.joints != tuple(j.name for j in model.joints):
             text = "segments were made for another vehicle file: make them again with heft plan --segments"
             raise config.ConfigError(f"{vehicle.label}: {text}")
-        self.library, self._goals = library, goals_of(mission.until)
+        self.library, names = library, online.quantity_names
         self._give_up_s, self.probe_s = mission.give_up_s, mission.probe_s
-        self._names = online.quantity_names
-        for goal in self._goals:
-            if not goal.names(self._names):
-                known = f"mass, centre, inertia, {', '.join(self._names)}"
+        self._wanted = list[tuple[Goal, int]]()  # with the number of each quantity that it means
+        for goal in goals_of(mission.until):
+            if not (own := goal.names(names)):
+                known = f"mass, centre, inertia, {', '.join(names)}"
                 raise config.ConfigError(f"{vehicle.label}: until {goal.name}: the quantities are {known}")
+            self._wanted += [(goal, names.index(name)) for name in own]
         self._text = mission.until
         self.prior = np.diag(np.nan_to_num(predictor.sigma) ** 2)
         self.prior[PAYLOAD, PAYLOAD] = np.diag(online.ekf.payload_sigma**2)
@@ -212,23 +213,13 @@ class Asking:
             D, mass, inertia = np.eye(10), float(payload[0]), np.eye(3)
         half_trace = 0.5 * abs(float(np.trace(inertia)))
         radius = float(np.sqrt(half_trace / mass))
-        rows: list[int] = []
-        targets: list[float] = []
-        for goal in self._goals:
-            for name in goal.names(self._names):
-                at = self._names.index(name)
-                size = (mass, *[radius] * 3, *[half_trace] * 6)[at]
-                rows.append(at)
-                targets.append(_target(goal, size) / HALF)
-        return Asked(D[rows], np.array(targets))
+        size = mass, *[radius] * 3, *[half_trace] * 6
+        targets = [(goal.half if goal.unit else goal.half * size[at]) / HALF for goal, at in self._wanted]
+        return Asked(D[[at for _, at in self._wanted]], np.array(targets))
 
     def _is_met(self, estimate: Estimate, asked: Asked) -> bool:
-        own = dict(zip(self._names, estimate.quantities, strict=True))
-        names = [name for goal in self._goals for name in goal.names(self._names)]
-        return all(
-            own[name].supported and own[name].half <= HALF * target
-            for name, target in zip(names, asked.targets, strict=True)
-        )
+        own = [estimate.quantities[at] for _, at in self._wanted]
+        return all(one.supported and one.half <= HALF * target for one, target in zip(own, asked.targets, strict=True))
 
     def _ask(self, now_ns: int, time_s: float, known: _Known, now: float, *, solved: bool) -> list[Batch]:
         library = self.library
@@ -331,7 +322,3 @@ def _motion(library: Library, k: int) -> tuple[FloatArray, FloatArray, FloatArra
 
 def _most(told: list[tuple[str, float]]) -> str:
     return " and ".join(f"{name} ({share:.0%})" for name, share in told[:2])
-
-
-def _target(goal: Goal, size: float) -> float:
-    return goal.half * size if not goal.unit else goal.half

@@ -6,40 +6,19 @@ import numpy as np
 
 from onboard import config
 from onboard.config.bases.table import Body
-from onboard.devices.recorded import PoseKeys, ThrusterKeys, thrusters_among, tracked_among
+from onboard.devices.recorded import thrusters_among, tracked_among
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import composite_functional
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.policy import MOSTLY
+from onboard.flight.estimate.problem.sigma_keys import key_in
 from onboard.identification.body.fit import BodyModel
 from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
 from onboard.identification.body.valves import Valve
 
-_OF_BODY = {
-    "mass": "body.mass_sigma",
-    "common_force": "body.common_force_sigma",
-    "loss": "body.loss_sigma_ms",
-    "drag": "body.drag_sigma_1_s",
-} | {"spin_drag": "body.spin_drag_sigma_1_s", "tilt": "body.tilt_sigma_m_s2"}
-_OF_THRUSTERS = {
-    "scale": "device.{}.scale_sigma",
-    "turn": "body.turn_sigma_rad",
-    "lever": "body.place_sigma_m",
-    "leak": "body.leak_sigma",
-    "delay": "body.each_delay_sigma_ms",
-}
+_OF_THRUSTERS = {"turn": "turn", "lever": "place", "leak": "leak", "delay": "each_delay"}
 _OF_TRACKER = {"turn": "misalignment_sigma_rad", "place": "place_sigma_m", "scale": "scale_sigma"}
-
-
-def thrusters_of(vehicle: config.Vehicle) -> dict[str, ThrusterKeys]:
-    """Its thrusters by name."""
-    return thrusters_among(vehicle.file.device)
-
-
-def tracker_of(vehicle: config.Vehicle) -> tuple[str, PoseKeys]:
-    """Its tracked pose."""
-    return tracked_among(vehicle.file.device)
 
 
 def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str, Valve]) -> BodyModel:
@@ -58,7 +37,7 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
         raise SignalError(f"joint {model.joints[0].name!r} moves: a body of [body] has none; use [planar] with an arm")
     asked = vehicle.file.body or Body()
     mass_kg, centre_m, inertia = body_of(composite_functional(model) @ model.chi)
-    own = thrusters_of(vehicle)
+    own = thrusters_among(vehicle.file.device)
     places, pushes = list[object](), list[complex]()
     for name, thruster in own.items():
         R_BF, p_BF = model.pose_in_base(thruster.frame)
@@ -76,36 +55,25 @@ def body_model(vehicle: config.Vehicle, model: VehicleModel, valves: Mapping[str
         float(np.mean(scale_sigma)) if asked.common_force_sigma is None else asked.common_force_sigma,
         tuple(valves[name] for name in own),
     )
-    _, pose = tracker_of(vehicle)
+    _, pose = tracked_among(vehicle.file.device)
     R_BM, p_BM = model.pose_in_base(pose.frame)
     noise = np.array([pose.position_noise_m, pose.position_noise_m, pose.yaw_noise_rad])
     errors = pose.misalignment_sigma_rad, pose.place_sigma_m, pose.scale_sigma
     tracker = Tracker(p_BM[:2], float(np.arctan2(R_BM[1, 0], R_BM[0, 0])), *errors, noise)
-    low, high = asked.delay_ms
-    stated = BodySigmas(
-        asked.mass_sigma,
-        asked.tilt_sigma_m_s2,
-        asked.uneven_sigma_m_s2,
-        asked.turning_sigma_rad_s2,
-        asked.drag_sigma_1_s,
-        asked.spin_drag_sigma_1_s,
-        asked.place_sigma_m,
-        asked.turn_sigma_rad,
-        asked.leak_sigma,
-        (1e-3 * low, 1e-3 * high),
-        1e-3 * asked.each_delay_sigma_ms,
-        1e-3 * asked.loss_sigma_ms,
-    )
+    stated = BodySigmas(**asked.model_dump(exclude={"common_force_sigma"}))
     return BodyModel((mass_kg, centre_m[:2], float(inertia[2, 2])), thrusters, tracker, stated)
 
 
 def key_of(unknown: str, vehicle: config.Vehicle) -> str:
     """The key of the vehicle file that states an unknown's sigma; empty where none does."""
     kind, _, rest = unknown.partition("_")
-    if kind in _OF_THRUSTERS and rest in thrusters_of(vehicle):
-        return _OF_THRUSTERS[kind].format(rest)
+    is_of_one = rest in thrusters_among(vehicle.file.device)
+    if is_of_one and kind == "scale":
+        return f"device.{rest}.scale_sigma"
+    if is_of_one and kind in _OF_THRUSTERS:
+        return key_in("body", Body, _OF_THRUSTERS[kind])
     if kind == "tracker":
-        return f"device.{tracker_of(vehicle)[0]}.{_OF_TRACKER[rest.split('_')[0]]}"
+        return f"device.{tracked_among(vehicle.file.device)[0]}.{_OF_TRACKER[rest.split('_')[0]]}"
     if unknown == "mass" and (vehicle.file.body is None or vehicle.file.body.mass_sigma is None):
         return ""
-    return _OF_BODY.get(unknown, _OF_BODY.get(kind, "") if kind == "tilt" else "")
+    return key_in("body", Body, "tilt" if kind == "tilt" else unknown)

@@ -42,7 +42,7 @@ def answer_rates_hz(estimator: Estimator) -> dict[str, float]:
     """How often rows of the estimation worker's channels come, at most."""
     settings = estimator.vehicle.file.estimation
     steps_hz = 1e3 / settings.step_ms
-    answers = len(estimator.parameter_names) + len(estimator.online.quantity_names) + MOST_ALSO
+    answers = len(estimator.online.parameter_names) + len(estimator.online.quantity_names) + MOST_ALSO
     return {
         "tick": steps_hz,
         "clock": steps_hz * len(estimator.inputs),
@@ -86,13 +86,11 @@ class EstimationWorker:
         self._longest_ns = max(LONGEST_STEP_NS, 2 * self.period_ns)
         self._left_out_ns, self._left_out_rows = 0, 0
         self._hand_over = None if estimator.vehicle.hand_over is None else HandOver(estimator.vehicle)
-        kept = [
-            name
-            for name, device in estimator.vehicle.file.device.items()
-            if estimator.vehicle.rate_hz(name) * self.period_ns <= 1e9
-            or (isinstance(device, BusDevice) and device.tells_changes)
-        ]
-        self._kept = {channel for name in kept for channel in estimator.vehicle.file.device[name].channels(name)}
+        self._kept = set[str]()  # channels of which no row is left out
+        for name, device in estimator.vehicle.file.device.items():
+            tells_changes = isinstance(device, BusDevice) and device.tells_changes
+            if tells_changes or estimator.vehicle.rate_hz(name) * self.period_ns <= 1e9:
+                self._kept.update(device.channels(name))
 
     def step(self, now_ns: int) -> None:
         """Consume the records since the last step; if they span more than 0.5 s, the oldest 0.5 s of them."""
@@ -109,25 +107,19 @@ class EstimationWorker:
 
     def _shed(self, now_ns: int) -> tuple[list[Batch], int]:
         """Leave out rows that there is no time for; the events that report it, and the time skipped [ns]."""
-        if self._reached_ns is None:
-            return [], 0
-        if not (skip_ns := to_skip_ns(now_ns - self._reached_ns)):
+        if self._reached_ns is None or not (skip_ns := to_skip_ns(now_ns - self._reached_ns)):
             return [], 0
         self._reached_ns += skip_ns
         self._left_out_ns += skip_ns
-        self._left_out_rows += sum(self._skip(name, self._reached_ns) for name in self.estimator.inputs)
+        for name in self.estimator.inputs:
+            if name not in self._kept:
+                rows, lost = self._read(name, self._reached_ns)
+                self._left_out_rows += len(rows) + lost
         text = (
             f"cannot keep up: too late by {1e-9 * skip_ns:.1f} s, goes on after that; "
             f"{self._left_out_rows} rows of {1e-9 * self._left_out_ns:.1f} s left out in all"
         )
         return [event(self._reached_ns, Severity.WARNING, "estimator_skips", "estimation", text)], skip_ns
-
-    def _skip(self, name: str, until_ns: int) -> int:
-        """Leave out the unread rows of an input up to ``until_ns``; how many."""
-        if name in self._kept:
-            return 0
-        rows, lost = self._read(name, until_ns)
-        return len(rows) + lost
 
     def finish(self, now_ns: int, over: Callable[[], bool] = lambda: False) -> None:
         """The last steps: nothing more will arrive, so rows are made up to the last sample.
@@ -138,10 +130,8 @@ class EstimationWorker:
         """
         while (until_ns := self._until(now_ns)) < now_ns:
             if over():
-                left_s = 1e-9 * (now_ns - (self._reached_ns or now_ns))
-                text = (
-                    f"the last {left_s:.1f} s of the flight are not taken in: the computer is busy; heft identify does"
-                )
+                left = f"{1e-9 * (now_ns - (self._reached_ns or now_ns)):.1f} s"
+                text = f"the last {left} of the flight are not taken in: the computer is busy; heft identify does"
                 said = event(now_ns, Severity.WARNING, "estimator_unfinished", "estimation", text)
                 self._publisher.publish([said])
                 return
@@ -266,17 +256,15 @@ class DurableEstimation:
             checkpoint = self._checkpoints.load()
         except StateError as error:
             why = f"its checkpoint cannot be used ({error})"
-        brought_back = False
         if checkpoint is not None:
             why = self._redo(checkpoint, ticks, now_ns)
-            brought_back = not why
         for column, (name, reader) in enumerate(self._inputs.items()):
             consumed = ticks[ticks["consumed"][:, column] > 0]
             if len(consumed):
                 reader.seek_after(int(consumed["last_sequence"][-1, column]))
             elif checkpoint is not None:
                 reader.position = checkpoint.positions[name]
-        if checkpoint is not None and brought_back:
+        if checkpoint is not None and not why:
             self._checkpoints.taken_over()
             estimator = checkpoint.estimator
             return EstimationWorker(estimator, self._inputs, self._publisher, done, reached_ns=reached_ns), True

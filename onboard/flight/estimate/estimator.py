@@ -142,11 +142,6 @@ class Estimator:
         label, method = self.vehicle.label, self.vehicle.file.estimation.method
         raise config.ConfigError(f'{label}: this needs rows; the method is "{method}"')
 
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters, in the order of ESTIMATE's ``mean``."""
-        return self.online.parameter_names
-
     def phase_at(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """The phase at each time, (n,); -1 where it is not known."""
         return self._phases.at(at_ns)
@@ -230,7 +225,7 @@ class Estimator:
         self._in_use |= bool((found == 0).any())
         if final:
             self.online.finish()
-        made.append(self._row_batch(now_ns, at_ns, joints, measured, signals.sigma, found))
+        made.append(self._row_batch(now_ns, at_ns, signals, found))
         if isinstance(self.online, MotionIdentifier) and (errors := self.online.prediction_errors()):
             made.append(self._numbered("innovation", innovation_rows(now_ns, errors)))
         for change in self.online.news():
@@ -308,14 +303,9 @@ class Estimator:
         refused = np.zeros(len(at_ns), np.int64)
         if settings.phases:
             changes_ns, codes = self._phases.changes
-            refused |= phase_gate(
-                at_ns * 1e-9,
-                changes_ns * 1e-9,
-                codes,
-                settings.phases.identify,
-                settings.phases.settle_ms * 1e-3,
-                0.5 * settings.smoothing_ms * 1e-3,
-            )
+            settle_s, kernel_s = settings.phases.settle_ms * 1e-3, 0.5 * settings.smoothing_ms * 1e-3
+            known = changes_ns * 1e-9, codes, settings.phases.identify
+            refused |= phase_gate(at_ns * 1e-9, *known, settle_s, kernel_s)
         if settings.gates.joint_limits_deg:
             low, high = np.radians(settings.gates.joint_limits_deg)
             refused |= range_gate(joints[0], low, high, GateReason.CONTACT)
@@ -334,18 +324,11 @@ class Estimator:
             means[tick] = self._slow_force
         return means
 
-    def _row_batch(
-        self,
-        now_ns: int,
-        at_ns: NDArray[np.int64],
-        joints: NDArray[np.float64],
-        measured: NDArray[np.float64],
-        sigma: NDArray[np.float64],
-        found: NDArray[np.int64],
-    ) -> Batch:
+    def _row_batch(self, now_ns: int, at_ns: NDArray[np.int64], signals: Signals, found: NDArray[np.int64]) -> Batch:
         made = np.zeros(len(at_ns), self.outputs["row"])
         innovation = self.online.innovation if isinstance(self.online, Identifier | Hypotheses) else np.nan
-        fields = (now_ns, at_ns, *joints, measured, sigma, found, innovation)
+        joints = signals.q, signals.dq, signals.ddq
+        fields = (now_ns, at_ns, *joints, signals.measured, signals.sigma, found, innovation)
         for field, values in zip((made.dtype.names or ())[1:], fields, strict=True):
             made[field] = values
         return self._numbered("row", made)

@@ -72,7 +72,8 @@ class HandOver:
         return self._write(now_ns, ten)
 
     def _write(self, now_ns: int, ten: Rows) -> list[Batch]:
-        body = _body(ten)
+        value = ten["value"]
+        body = RigidBody(float(value[0]), value[1:4].copy(), symmetric(value[4:]))
         if np.linalg.eigvalsh(pseudo_inertia(standard_of(body)))[0] <= 0.0:
             return self._withdraw(now_ns, "no rigid body has these ten numbers together")
         self._written_ns = now_ns
@@ -112,15 +113,13 @@ def check(vehicle: config.Vehicle, names: Collection[str]) -> None:
     if path is None:
         return
     label = f"--hand-over {path}"
-    if missing := [
-        name for name in (f"{kind}_{vehicle.file.vehicle.payload_link}" for kind in BODY) if name not in names
-    ]:
+    ten = [f"{kind}_{vehicle.file.vehicle.payload_link}" for kind in BODY]
+    if missing := [name for name in ten if name not in names]:
         text = f"a URDF needs all ten numbers of the payload; {vehicle.label} does not estimate {', '.join(missing)}"
         raise config.ConfigError(f"{label}: {text}")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise config.ConfigError(
-            f"{label}: {path.parent} is no directory that can be written; make it, or name another"
-        )
+        text = f"{path.parent} is no directory that can be written; make it, or name another"
+        raise config.ConfigError(f"{label}: {text}")
     if not path.exists():
         return
     try:
@@ -151,11 +150,6 @@ def _not_good(ten: Rows) -> str:
         return ""
     one = ten[bad[0]]
     return f"{one['name'].decode()} is {LEVELS[int(one['level'])]}: {one['why'].decode('utf-8', 'replace')}"
-
-
-def _body(ten: Rows) -> RigidBody:
-    value = ten["value"]
-    return RigidBody(float(value[0]), value[1:4].copy(), symmetric(value[4:]))
 
 
 def _with_answers(urdf: str, link: str, now_ns: int, ten: Rows) -> str:

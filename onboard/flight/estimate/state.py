@@ -11,7 +11,6 @@ no constructor, ``__setstate__`` or ``__reduce__`` is called, when a state is re
 """
 
 import dataclasses
-import io
 import json
 import math
 import struct
@@ -259,13 +258,6 @@ def _class(name: str) -> type:
     return found
 
 
-def to_bytes(thing: object, places: UnwrittenParts) -> bytes:
-    """What :func:`write` writes."""
-    file = io.BytesIO()
-    write(file, thing, places)
-    return file.getvalue()
-
-
 def write(file: IO[bytes], thing: object, places: UnwrittenParts) -> None:
     """Write ``thing``: head, tree, arrays.
 
@@ -287,7 +279,7 @@ def write(file: IO[bytes], thing: object, places: UnwrittenParts) -> None:
 
 
 def from_bytes(data: bytes, places: UnwrittenParts) -> Any:
-    """What :func:`to_bytes` made ``data`` of.
+    """What :func:`write` made ``data`` of.
 
     Raises:
         StateError: it is damaged, of another version, or none of ours.

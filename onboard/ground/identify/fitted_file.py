@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from onboard import config
@@ -58,10 +59,9 @@ def write(vehicle: config.Vehicle, found: Identified, directory: Path) -> list[P
     if not found.drawing:
         raise ValueError(f"{found.log} determines no link of the arm; there is no drawing to write")
     kept = {one.link for one in found.drawing}
-    fitted = urdf(vehicle, found.only(kept))
-    said = (
-        f"# Links as estimated by heft identify from {json.dumps(found.log.name)}: by this file that log counts twice."
-    )
+    fitted = urdf(vehicle, replace(found, links=tuple(one for one in found.links if one.link in kept)))
+    name = json.dumps(found.log.name)
+    said = f"# Links as estimated by heft identify from {name}: by this file that log counts twice."
     text = f"{said}\n\n{edited(vehicle, changes(vehicle, found))}"
     with tempfile.TemporaryDirectory() as where:
         tried = Path(where) / VEHICLE

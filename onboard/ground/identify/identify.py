@@ -27,26 +27,27 @@ from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
-from onboard.ground.identify.kinds.residuals import keep_rows
+from onboard.ground.identify.kinds.residuals import KeptRows
 from onboard.ground.identify.kinds.table_log import identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
-from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, feed, feed_rows
+from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, fed, feed_rows
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows.budget import budget
-from onboard.identification.rows.checks.prediction import HeldOutFit
+from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
 from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
 from onboard.identification.standing import Level
-from onboard.identification.verdict import Evidence, standings_of, verdict
+from onboard.identification.verdict import Evidence
+from onboard.recording.format.errors import ChannelError
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
@@ -174,9 +175,7 @@ def _again(
     """What an identifier, or a fresh one, knows after a log."""
     estimator = Estimator(vehicle, identifier, at_the_end=True)
     estimator.identifier.about = about
-    for _ in feed(estimator, log):
-        pass
-    return estimator.identifier
+    return fed(estimator, log).identifier
 
 
 def _settled(vehicle: config.Vehicle, log: LogReader) -> FloatArray | None:
@@ -191,60 +190,52 @@ def _one(
     estimator = Estimator(vehicle, at_the_end=True)
     who = estimator.identifier
     who.about = about
-    kept = keep_rows(who)
+    kept = KeptRows(who.seen.instruments)
+    who.seen.listener = kept.keep
     method = vehicle.file.estimation.method
     last = None
     for channel, rows in feed_rows(estimator, log):
         if channel == "quantity":
             last = rows
     online, who = estimator.online, estimator.identifier  # the selected one, where instruments are redundant
-    refused = named_refusals(who.refused)
-    if last is None:
-        nothing = verdict(Evidence(who.rows_used, refused, dict.fromkeys(_asked_names(vehicle, who), False), None))
-        none = throws.throw(vehicle, load, who) if load else None
-        return Identified(log.path, method, (), who.rows_used, refused, log.damage, nothing, none)
-    held = held_out(who.seen, who)
-    estimate = online.estimate()
-    answers = _answers(last, who)
+    refused, names = named_refusals(who.refused), _asked_names(vehicle, who)
     thrown = throws.throw(vehicle, load, who) if load else None
-    names = _asked_names(vehicle, who)
+    if last is None:
+        nothing = Evidence(who.rows_used, refused, dict.fromkeys(names, False), None)
+        return judged(log, nothing, method=method, throw=thrown)
+    held, estimate, findings = held_out(who.seen, who), online.estimate(), online.findings()
+    answers, principal, drawing = _answers(last, who), list[IdentifiedQuantity](), tuple[FittedLink, ...]()
     if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
+        links, principal = tuple(filter(None, [thrown.whole])), _principal(thrown)
+        findings = findings.plus(doubts=throws.unlike_the_carrier(vehicle, thrown.load, estimate))
     else:
         told = dict(zip(estimate.names, estimate.supported.tolist(), strict=True))
         told |= {quantity.name: quantity.supported for quantity in estimate.quantities}
-    drawing: tuple[FittedLink, ...] = ()
-    if thrown is not None:
-        links = thrown.links
-    else:
         after = standard_posterior(who, vehicle.file.estimation.nuisance)
         links = identified_links(who, after)
         held_link = who.model.vehicle.spec.payload_link
         drawing = fitted_drawing(who.model.vehicle.links, after, [one for one in links if one.link != held_link])
-    asked, away = {name: told[name] for name in names}, {one.link: one.away for one in links}
+    away = {one.link: one.away for one in links}
     if thrown is not None and thrown.principal is not None:
         away[f"the load {thrown.load.name}"] = thrown.principal.away
-    failure = _no_payload(who, estimate)
-    evidence = Evidence(who.rows_used, refused, asked, held, estimator.inflation**2, failure, away)
-    useful = useful_of(vehicle)
-    findings = online.findings()
-    if load is not None:
-        unlike = throws.unlike_the_carrier(vehicle, load, estimate)
-        findings = findings._replace(doubts=(*findings.doubts, *unlike))
-    each = standings([*answers, *_principal(thrown)], useful)
-    evidence = evidence._replace(findings=findings, standings=each)
-    if thrown is not None and thrown.principal is not None:
-        evidence = evidence._replace(asked=asked | dict.fromkeys(_PRINCIPAL, True))
-    return Identified(
-        log.path,
-        method,
-        answers,
+    evidence = Evidence(
         who.rows_used,
         refused,
-        log.damage,
-        with_mistake(vehicle, log, verdict(evidence)),
-        thrown,
+        {name: told[name] for name in names} | {one.name: True for one in principal},
         held,
+        estimator.inflation**2,
+        _no_payload(who, estimate),
+        away,
+        findings=findings,
+        standings=standings([*answers, *principal], useful_of(vehicle)),
+    )
+    found = judged(
+        log,
+        evidence,
+        answers,
+        method,
+        throw=thrown,
         observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         budget={} if thrown is not None else budget(who),
@@ -252,14 +243,14 @@ def _one(
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
         drawing=drawing,
-        standings=standings_of(evidence),
         residuals=kept.residuals(who.taken.rls.solve().mean, 1.0 / vehicle.file.estimation.row_rate_hz),
     )
+    return with_mistake(vehicle, log, found)
 
 
-def _principal(thrown: throws.Throw | None) -> list[IdentifiedQuantity]:
+def _principal(thrown: throws.Throw) -> list[IdentifiedQuantity]:
     """Principal moments of a throw's load."""
-    if thrown is None or thrown.principal is None:
+    if thrown.principal is None:
         return []
     rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
     return [IdentifiedQuantity(name, "kg m^2", value, sigma, low, high, True) for name, value, sigma, low, high in rows]
@@ -296,20 +287,39 @@ def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
     link, held = who.model.vehicle.spec.payload_link, who.payload is not None
     told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
     twice = {f"{kind}_{link}" for kind in STANDARD} if told else set[str]()
-    return tuple(
-        IdentifiedQuantity(
-            printable(row["name"]),
-            printable(row["unit"]) or ("kg" if printable(row["name"]) in (f"M_{link}", f"M_{link}_R") else ""),
-            float(row["value"]),
-            float(row["sigma"]),
-            float(row["low"]),
-            float(row["high"]),
-            bool(row["supported"]),
-            float(bound),
-        )
-        for row, bound in zip(rows, who.bounds(), strict=True)
-        if printable(row["name"]) not in twice
-    )
+    found = []
+    for row, bound in zip(rows, who.bounds(), strict=True):
+        name = printable(row["name"])
+        if name not in twice:
+            unit = printable(row["unit"]) or ("kg" if name in (f"M_{link}", f"M_{link}_R") else "")
+            value, sigma, low, high = (float(row[key]) for key in ("value", "sigma", "low", "high"))
+            supported = bool(row["supported"])
+            found.append(IdentifiedQuantity(name, unit, value, sigma, low, high, supported, float(bound)))
+    return tuple(found)
+
+
+def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutFit:
+    """How well the base parameters of one log explain the rows of another.
+
+    Args:
+        vehicle: of both; by rows.
+        found: identification of the first log.
+        other: log to predict; its rows are not used for the parameters.
+
+    Raises:
+        LogFormatError: a file that is no log.
+        ChannelError: a log of another vehicle, or one without a row that could be used.
+        ConfigError: the vehicle's method has no rows.
+    """
+    estimator = Estimator(vehicle, at_the_end=True)
+    for _ in feed_rows(estimator, LogReader(other)):
+        pass
+    who = estimator.identifier
+    values = {answer.name: answer.value for answer in found.answers}
+    if not who.rows_used or not values:
+        which = other if values else found.log
+        raise ChannelError(f"{which} has no row that could be used; heft identify says why")
+    return prediction(who.seen, who.model, who.base, np.array([values[name] for name in who.base.names]))
 
 
 def urdf(vehicle: config.Vehicle, found: Identified) -> str:

@@ -35,7 +35,9 @@ def render(found: Identification) -> RenderableType:
     """The result as tables."""
     told = [Text(f"by the recording: {one}") for one in found.recorded]
     if not any(log.throw for log in found.logs):
-        return Group(*(part for log in found.logs for part in _one(log)), *told, *_predicted(found))
+        for path, one in found.predicted:
+            told.append(Text(f"{path} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %"))
+        return Group(*(part for log in found.logs for part in _one(log)), *told)
     parts: list[RenderableType] = []
     for name in dict.fromkeys(log.throw.load.name for log in found.logs if log.throw):
         mine = [log for log in found.logs if log.throw and log.throw.load.name == name]
@@ -64,17 +66,10 @@ def budgets(found: Identification) -> RenderableType:
             table = _table(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
             for one in log.budget[name]:
                 if one.share >= _LEAST_SHARE:
-                    bar = "#" * max(1, round(_BAR * one.share))
-                    table.add_row(
-                        f"{one.share:4.0%} {bar:{_BAR}s}", f"{one.sigma:.2g}", Text(one.cause, justify="left")
-                    )
+                    share = f"{one.share:4.0%} {'#' * max(1, round(_BAR * one.share)):{_BAR}s}"
+                    table.add_row(share, f"{one.sigma:.2g}", Text(one.cause, justify="left"))
             parts.append(table)
     return Group(*parts) if parts else Text(_NO_BUDGET)
-
-
-def _predicted(found: Identification) -> Iterator[Text]:
-    for log, one in found.predicted:
-        yield Text(f"{log} predicted from {found.logs[0].log} to {100 * one.relative_error:.2f} %")
 
 
 def _verdict(verdict: Verdict) -> Text:
@@ -97,14 +92,8 @@ def _one(log: Identified) -> list[RenderableType]:
     for answer in log.answers:
         if answer.supported:
             interval = f"{answer.low:.4g} .. {answer.high:.4g}"
-            answers.add_row(
-                answer.name,
-                answer.unit,
-                f"{answer.value:.4g}",
-                interval,
-                f"{answer.bound:.1g}",
-                log.standing(answer).level,
-            )
+            numbers = f"{answer.value:.4g}", interval, f"{answer.bound:.1g}"
+            answers.add_row(answer.name, answer.unit, *numbers, log.standing(answer).level)
     notes = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     notes.add_column(no_wrap=True)
     notes.add_column(overflow="fold")

@@ -24,7 +24,7 @@ from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitene
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
 from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
 from onboard.identification.body.valves import Opening
-from onboard.identification.body.windows import PoseWindows, TrackedPoses, windows_of
+from onboard.identification.body.windows import STEPS, PoseWindows, STEP_s, TrackedPoses, windows_of
 from onboard.identification.free_flyer.prediction.parameters import UnknownLayout, Unknowns
 from onboard.identification.windows import Part, WindowedFit, judged, total
 
@@ -43,7 +43,6 @@ class BodyFit(NamedTuple):
     """A fit."""
 
     found: WindowedFit
-    least_s: float  # pulses shorter than this did not open a valve
     start_s: FloatArray  # of the windows
     settled: bool  # it is the minimum
     lateness: Lateness  # of commands and poses, which is in the delay
@@ -72,35 +71,38 @@ class BodyModel:
         stated: sigmas.
 
     Attributes:
+        thrusters: the same.
+        tracker: the same.
         names: of the unknowns that all windows share.
         sigma: of these beforehand.
         steady_sigma: of the accelerations of each window, (3,).
         weighed: its mass is stated.
+        axes: of the tracked frame, as stated.
     """
 
     def __init__(
         self, drawn: tuple[float, FloatArray, float], thrusters: Thrusters, tracker: Tracker, stated: BodySigmas
     ):
-        self._drawn, self._thrusters, self._tracker, self._stated = drawn, thrusters, tracker, stated
+        self._drawn, self.thrusters, self.tracker, self._stated = drawn, thrusters, tracker, stated
         mass_kg, centre_m, inertia = drawn
         reach = float(np.abs(thrusters.place_m - centre_m).max())
         size = max(reach, float(np.sqrt(inertia / mass_kg)))
         j, each = len(thrusters.names), thrusters.names
         low, high = stated.delay_s
-        mass_sigma = stated.mass or _UNKNOWN
+        mass_sigma = stated.mass_sigma or _UNKNOWN
         blocks = {
             "body": Unknowns(
                 ("mass", "com_x", "com_y", "I_zz"), np.array([mass_sigma, 2.0 * size, 2.0 * size, _UNKNOWN])
             ),
             "scale": Unknowns(tuple(f"scale_{name}" for name in each), thrusters.scale_sigma),
-            "turn": Unknowns(tuple(f"turn_{name}" for name in each), np.full(j, stated.turn_rad)),
-            "lever": Unknowns(tuple(f"lever_{name}" for name in each), np.full(j, stated.place_m)),
-            "leak": Unknowns(tuple(f"leak_{name}" for name in each), np.full(j, stated.leak)),
-            "each": Unknowns(tuple(f"delay_{name}" for name in each), np.full(j, stated.each_delay_s)),
+            "turn": Unknowns(tuple(f"turn_{name}" for name in each), np.full(j, stated.turn_sigma_rad)),
+            "lever": Unknowns(tuple(f"lever_{name}" for name in each), np.full(j, stated.place_sigma_m)),
+            "leak": Unknowns(tuple(f"leak_{name}" for name in each), np.full(j, stated.leak_sigma)),
+            "each": Unknowns(tuple(f"delay_{name}" for name in each), np.full(j, 1e-3 * stated.each_delay_sigma_ms)),
             "common": Unknowns(("common_force",), np.array([thrusters.common_sigma])),
-            "valves": Unknowns(("delay", "loss"), np.array([high - low, stated.loss_s])),
-            "table": Unknowns(("tilt_x", "tilt_y"), np.full(2, stated.tilt_m_s2)),
-            "drag": Unknowns(("drag", "spin_drag"), np.array([stated.drag_1_s, stated.spin_drag_1_s])),
+            "valves": Unknowns(("delay", "loss"), np.array([high - low, 1e-3 * stated.loss_sigma_ms])),
+            "table": Unknowns(("tilt_x", "tilt_y"), np.full(2, stated.tilt_sigma_m_s2)),
+            "drag": Unknowns(("drag", "spin_drag"), np.array([stated.drag_sigma_1_s, stated.spin_drag_sigma_1_s])),
             "tracker": Unknowns(
                 ("tracker_turn", "tracker_place_x", "tracker_place_y", "tracker_scale"),
                 np.array([tracker.turn_sigma_rad, *[tracker.place_sigma_m] * 2, tracker.scale_sigma]),
@@ -108,150 +110,114 @@ class BodyModel:
         }
         self._layout = UnknownLayout(blocks)
         self.names, self.sigma = self._layout.names, self._layout.sigma
-        self.weighed = stated.mass is not None
-        self.steady_sigma = np.array([*[stated.uneven_m_s2] * 2, stated.turning_rad_s2])
-
-    @property
-    def thrusters(self) -> Thrusters:
-        """Of it."""
-        return self._thrusters
+        self.weighed = stated.mass_sigma is not None
+        self.steady_sigma = np.array([*[stated.uneven_sigma_m_s2] * 2, stated.turning_sigma_rad_s2])
+        self.axes = PoseAxes(turn_rad=-tracker.yaw_rad)
+        self._delays_s: list[float] = np.arange(low, high + _SEARCH_s, _SEARCH_s).tolist()
+        steps_of_each = [*[1e-4] * j, *[1e-5] * j, *[1e-5] * j, *[1e-4] * j, *[1e-4] * j]
+        others = [*[1e-4] * 3, *[1e-5] * 2, *[1e-4] * 2, *[1e-5] * 3, 1e-4]
+        # of the differences, of all unknowns, then of a window's state
+        self._steps = np.array([1e-4, 1e-5, 1e-5, 1e-4, *steps_of_each, *others, *[1e-5] * STATE])
 
     def with_thrusters(self, thrusters: Thrusters) -> "BodyModel":
         """The same with others."""
-        return BodyModel(self._drawn, thrusters, self._tracker, self._stated)
+        return BodyModel(self._drawn, thrusters, self.tracker, self._stated)
 
     def body(self, x: FloatArray) -> tuple[float, FloatArray, float]:
         """Mass, kg, centre of mass, (2,) m, and moment of inertia about it, kg m^2."""
         mass_kg, centre_m, inertia = self._drawn
         return mass_kg * float(np.exp(x[0])), centre_m + x[1:3], inertia * float(np.exp(x[3]))
 
-    def begun(
-        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
-    ) -> Begun:
+    def begun(self, poses: TrackedPoses) -> Begun:
         """How :meth:`fit` begins, which has the arguments and the errors."""
-        windows = windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1])
-        return Begun(windows, self._descend(windows, 0.0, self._begun(windows), NEAR_MINIMUM, _LOOKS)[0])
+        windows = windows_of(poses, self.tracker.noise, self._stated.delay_s[1])
+        return Begun(windows, self._descend(windows, 0.0, self._begun(windows))[0])
 
-    def fit(
-        self,
-        poses: TrackedPoses,
-        known_s: tuple[float, float],
-        unknown: Sequence[tuple[float, float]] = (),
-        first: Begun | None = None,
-    ) -> BodyFit:
+    def fit(self, poses: TrackedPoses, first: Begun | None = None) -> BodyFit:
         """The unknowns that explain the poses best.
 
         Args:
-            poses: in the order of their times.
-            known_s: from when to when the commands are known.
-            unknown: times between them in which they are not.
+            poses: of the recording.
             first: :meth:`begun` of the same, where it is known.
 
         Raises:
             EstimationError: too few poses, or no minimum.
         """
-        (windows, begun), least_s = first or self.begun(poses, known_s, unknown), 0.0
+        (windows, begun), least_s = first or self.begun(poses), 0.0
         for tried_s in self._leasts():
-            other, _ = self._descend(windows, tried_s, begun.x, NEAR_MINIMUM, _LOOKS)
+            other, _ = self._descend(windows, tried_s, begun.x)
             if other.residual_sum > MISFIT_REFUSED * begun.residual_sum:
                 break  # longer pulses opened the valves
             if other.residual_sum < begun.residual_sum - _BETTER * (least_s == 0.0):
                 begun, least_s = other, tried_s
-        found, settled = self._descend(windows, least_s, begun.x, MINIMUM, ITERATIONS)
+        found, settled = self._descend(windows, least_s, begun.x, whole=True)
         white = self._whiteners(found.x, windows, least_s)
         rows, spread = sum(noise.size for noise in windows.noise), sum(one.log_determinant for one in white)
-        other, _ = self._descend(windows, least_s, found.x, NEAR_MINIMUM, _LOOKS, white)
+        other, _ = self._descend(windows, least_s, found.x, white)
         likelier = rows * float(np.log(found.residual_sum / other.residual_sum)) > spread  # the noise's scale unknown
         scattered = likelier and other.residual_sum < MISFIT_REFUSED * rows
         if scattered:
-            found, settled = self._descend(windows, least_s, other.x, MINIMUM, ITERATIONS, white)
+            found, settled = self._descend(windows, least_s, other.x, white, whole=True)
         white = white if scattered else ()
         parts = self._parts(found.x, windows, least_s, white)
-        late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self._thrusters.valves]).mean())
+        late_s = float(np.concatenate([valve.edges(_AS_WRITTEN).late_s for valve in self.thrusters.valves]).mean())
         told = judged(found, parts, len(self.names), _SENSORS)
-        return BodyFit(told, least_s, windows.start_s, settled, lateness(late_s, scattered, poses.late_s))
+        return BodyFit(told, windows.start_s, settled, lateness(late_s, scattered, poses.late_s))
 
     def _leasts(self) -> list[float]:
         """Lengths just above those pulses that may not open a valve."""
-        pulses = np.concatenate([valve.pulses_s for valve in self._thrusters.valves])
+        pulses = np.concatenate([valve.pulses_s for valve in self.thrusters.valves])
         lengths = np.unique(np.round(pulses, 4))
         lengths = lengths[: round(MOSTLY * len(lengths))]  # by most of them the body moves
         if len(lengths) > _LEAST_TRIED:
             lengths = np.quantile(lengths, np.linspace(0.0, 1.0, _LEAST_TRIED))
         return [float(length) + 1e-4 for length in lengths]
 
-    def products(
-        self, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
-    ) -> Products:
+    def products(self, poses: TrackedPoses) -> Products:
         """What the commands move, with the poses, of each delay that may be. Arguments and errors as of :meth:`fit`."""
-        return self._products(
-            windows_of(poses, self._tracker.noise, known_s, unknown, self._stated.delay_s[1]), self._delays_s
-        )
-
-    @property
-    def place_m(self) -> FloatArray:
-        """Of the tracked frame, (2,)."""
-        return self._tracker.place_m
-
-    @property
-    def axes(self) -> PoseAxes:
-        """Of the tracked frame, as stated."""
-        return PoseAxes(turn_rad=-self._tracker.yaw_rad)
+        return self._products(windows_of(poses, self.tracker.noise, self._stated.delay_s[1]))
 
     @property
     def full(self) -> FloatArray:
         """Force of each thruster at level one and its moment about the base's origin, base axes, (j, 3)."""
-        of = self._thrusters
+        of = self.thrusters
         ux, uy = np.cos(of.direction), np.sin(of.direction)
         arm = of.place_m[:, 0] * uy - of.place_m[:, 1] * ux
         return np.asarray(of.force_N[:, None] * np.stack([ux, uy, arm], axis=1), np.float64)
 
-    @property
-    def _delays_s(self) -> list[float]:
-        return [
-            float(one) for one in np.arange(self._stated.delay_s[0], self._stated.delay_s[1] + _SEARCH_s, _SEARCH_s)
-        ]
-
-    def _products(self, windows: PoseWindows, delays_s: list[float]) -> Products:
-        searched = np.array([self._levels(windows, delay_s, _SEARCHED) for delay_s in delays_s])
-        series = zip(windows.poses, windows.grid_s, searched.swapaxes(0, 1), strict=False)
-        some = [PoseWindow(time_s, measured, grid_s, level) for (time_s, measured, _), grid_s, level in series]
-        return products(some, self._tracker.noise)
+    def _products(self, windows: PoseWindows) -> Products:
+        searched = np.array([self._levels(windows, delay_s, _SEARCHED) for delay_s in self._delays_s])
+        series = zip(windows.time_s, windows.measured, windows.grid_s, searched.swapaxes(0, 1), strict=False)
+        return products([PoseWindow(*of) for of in series], self.tracker.noise)
 
     def _levels(self, windows: PoseWindows, delay_s: float, most: int | None = None) -> FloatArray:
         """Levels of the valves, means of each step of so many windows, (k, steps, j)."""
         grid_s, how = windows.grid_s[:most], Opening(delay_s, 0.0, 0.0)
-        levels = [np.diff(valve.impulse_s(grid_s, how), axis=1) / windows.period_s for valve in self._thrusters.valves]
+        levels = [np.diff(valve.integrals(grid_s, how)[0], axis=1) / STEP_s for valve in self.thrusters.valves]
         return np.stack(levels, axis=2)
 
     def _begun(self, windows: PoseWindows) -> FloatArray:
         """Where a fit begins: a body by :func:`guess`, states by the poses of each window."""
-        p, tracker = len(self.names), self._tracker
-        first = guess(self._products(windows, self._delays_s), self.full, self.place_m, self.axes)
+        p, tracker = len(self.names), self.tracker
+        first = guess(self._products(windows), self.full, tracker.place_m, self.axes)
         delay_s = self._delays_s[first.which]
-        x = np.zeros(p + STATE * len(windows.poses))
+        x = np.zeros(p + STATE * len(windows.start_s))
         x[:BODY] = np.log(first.mass_kg / self._drawn[0]), *first.centre_m, np.log(first.inertia_kg_m2)
         x[1:BODY] -= *self._drawn[1], np.log(self._drawn[2])
         x[self.names.index("delay")] = delay_s
-        levels = self._levels(windows, delay_s)
-        for own, poses, grid_s, level in zip(
-            x[p:].reshape(-1, STATE), windows.poses, windows.grid_s, levels, strict=True
-        ):
-            window = PoseWindow(*poses[:2], grid_s, level[None])
+        series = zip(windows.time_s, windows.measured, windows.grid_s, self._levels(windows, delay_s), strict=True)
+        for own, (time_s, measured, grid_s, level) in zip(x[p:].reshape(-1, STATE), series, strict=True):
+            window = PoseWindow(time_s, measured, grid_s, level[None])
             own[:6] = state(window, level @ self.full, first, tracker.place_m, tracker.yaw_rad)
         return x
 
     def _descend(
-        self,
-        windows: PoseWindows,
-        least_s: float,
-        x: FloatArray,
-        tolerance: float,
-        most: int,
-        white: Sequence[Whitener] = (),
+        self, windows: PoseWindows, least_s: float, x: FloatArray, white: Sequence[Whitener] = (), whole: bool = False
     ) -> tuple[Fit, bool]:
-        """The minimum, or the best point after so many predictions; whether it is the minimum."""
-        descent = Descent(x, np.zeros_like(x), self._prior(x.size), most + 1, tolerance)
+        """The best point after a few predictions, or ``whole``: after many; whether it is the minimum."""
+        tolerance, most = (MINIMUM, ITERATIONS) if whole else (NEAR_MINIMUM, _LOOKS)
+        prior = np.diag(np.concatenate([self.sigma**-2, np.zeros(x.size - len(self.names))]))
+        descent = Descent(x, np.zeros_like(x), prior, most + 1, tolerance)
         for _ in range(most):
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
@@ -264,9 +230,6 @@ class BodyModel:
                 return descent.found, True
         return descent.short_of_the_minimum(), False
 
-    def _prior(self, size: int) -> FloatArray:
-        return np.diag(np.concatenate([self.sigma**-2, np.zeros(size - len(self.names))]))
-
     def _parts(
         self, x: FloatArray, windows: PoseWindows, least_s: float, white: Sequence[Whitener] = ()
     ) -> Iterator[Part]:
@@ -278,13 +241,15 @@ class BodyModel:
         begin = np.tile(x[p:].reshape(-1, STATE), (b, 1, 1))
         begin[1 + p :] += np.diag(steps[-STATE:])[:, None]
         body = self._moved(moving, begin, windows, least_s)
-        states = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, :3]
+        states = predict_floating(body, begin.transpose(2, 0, 1)[:6], STEP_s)[:, :3]
         states = np.ascontiguousarray(states.transpose(3, 0, 1, 2))  # (k, n, 3, b): samples are gathered from it
         every = np.append(steps[kept], steps[-STATE:])
         sigma = self.steady_sigma
-        for k, ((time_s, measured, _), noise) in enumerate(zip(windows.poses, windows.noise, strict=True)):
-            at = (time_s - windows.start_s[k]) / windows.period_s
-            first = np.minimum(at.astype(np.int64), windows.steps - 1)
+        for k, (time_s, measured, noise) in enumerate(
+            zip(windows.time_s, windows.measured, windows.noise, strict=True)
+        ):
+            at = (time_s - windows.start_s[k]) / STEP_s
+            first = np.minimum(at.astype(np.int64), STEPS - 1)
             part = (at - first)[:, None, None]
             shown = self._shown((1.0 - part) * states[k, first] + part * states[k, first + 1], moving)
             r = shown[:, :, 0] - measured  # (u, 3)
@@ -304,26 +269,26 @@ class BodyModel:
         moving = self._layout.whole(x[: len(self.names)])[None]
         begin = x[len(self.names) :].reshape(1, -1, STATE)
         body = self._moved(moving, begin, windows, least_s)
-        yaw = predict_floating(body, begin.transpose(2, 0, 1)[:6], windows.period_s)[:, 2, 0]  # (n + 1, k)
+        yaw = predict_floating(body, begin.transpose(2, 0, 1)[:6], STEP_s)[:, 2, 0]  # (n + 1, k)
         scale = np.append(np.exp(-moving[0, [0, 0]]) / self._drawn[0], np.exp(-moving[0, 3]) / self._drawn[2])
-        each = np.array([self._full(j, moving)[0] for j in range(len(self._thrusters.names))]) * scale
+        each = np.array([self._full(j, moving)[0] for j in range(len(self.thrusters.names))]) * scale
         hows = [self._opening(j, moving)[0].tolist() for j in range(len(each))]
-        valves = zip(self._thrusters.valves, hows, strict=True)
+        valves = zip(self.thrusters.valves, hows, strict=True)
         steps = [valve.edges(Opening(delay_s, loss_s, least_s)) for valve, (delay_s, loss_s) in valves]
         lever, found = self._lever(moving)[0], list[Whitener]()
-        for k, ((time_s, _, _), noise) in enumerate(zip(windows.poses, windows.noise, strict=True)):
+        for k, (time_s, noise) in enumerate(zip(windows.time_s, windows.noise, strict=True)):
             window = DrivenWindow(windows.grid_s[k], yaw[:, k], body.force[:, :, 0, k], lever)
             found.append(whitener(by_steps(window, steps, each, time_s) / noise[:, :, None]))
         return tuple(found)
 
     def _lever(self, moving: FloatArray) -> FloatArray:
         """Of the tracked frame from the centre of mass, body axes, (b, 2)."""
-        place = self._tracker.place_m + moving[:, self._layout["tracker"]][:, 1:3]
+        place = self.tracker.place_m + moving[:, self._layout["tracker"]][:, 1:3]
         return np.asarray(place - self._drawn[1] - moving[:, 1:3], np.float64)
 
     def _full(self, j: int, moving: FloatArray) -> FloatArray:
         """Force of a thruster at level one, body axes, and its moment about the centre of mass, (b, 3)."""
-        of, thrusters, centre = self._layout, self._thrusters, self._drawn[1] + moving[:, 1:3]
+        of, thrusters, centre = self._layout, self.thrusters, self._drawn[1] + moving[:, 1:3]
         scale, turn, lever = (moving[:, of[name]][:, j] for name in ("scale", "turn", "lever"))
         toward = thrusters.direction[j] + turn
         ux, uy = np.cos(toward), np.sin(toward)
@@ -344,7 +309,7 @@ class BodyModel:
         x = state[:, 0] + c * lever[:, 0] - s * lever[:, 1]
         y = state[:, 1] + s * lever[:, 0] + c * lever[:, 1]
         return np.stack(
-            [(1.0 + own[:, 3]) * x, (1.0 + own[:, 3]) * y, state[:, 2] + self._tracker.yaw_rad + own[:, 0]], 1
+            [(1.0 + own[:, 3]) * x, (1.0 + own[:, 3]) * y, state[:, 2] + self.tracker.yaw_rad + own[:, 0]], 1
         )
 
     def _moved(self, moving: FloatArray, begin: FloatArray, windows: PoseWindows, least_s: float) -> Floating:
@@ -356,9 +321,9 @@ class BodyModel:
             windows: k of them.
             least_s: pulses shorter than this do nothing.
         """
-        of, h = self._layout, windows.period_s
-        forces, ahead = np.zeros((2, 3, windows.steps, len(moving), len(windows.start_s)))
-        for j, valve in enumerate(self._thrusters.valves):
+        of, h = self._layout, STEP_s
+        forces, ahead = np.zeros((2, 3, STEPS, len(moving), len(windows.start_s)))
+        for j, valve in enumerate(self.thrusters.valves):
             leak = moving[:, of["leak"]][:, j, None]
             different, which = np.unique(  # most variants differ elsewhere
                 np.hstack([self._opening(j, moving), leak, self._full(j, moving)]), axis=0, return_inverse=True
@@ -379,11 +344,3 @@ class BodyModel:
         steady = np.concatenate([state[6:8] + tilt, state[8:]])
         (fx, fy, turning), ahead = forces / over, (ahead / over).swapaxes(0, 1)
         return Floating(np.stack([fx, fy], 1), turning, ahead, steady, drag)
-
-    @property
-    def _steps(self) -> FloatArray:
-        """Of the differences, of all unknowns, then of a window's state."""
-        j = len(self._thrusters.names)
-        each = [*[1e-4] * j, *[1e-5] * j, *[1e-5] * j, *[1e-4] * j, *[1e-4] * j]
-        others = [*[1e-4] * 3, *[1e-5] * 2, *[1e-4] * 2, *[1e-5] * 3, 1e-4]
-        return np.array([1e-4, 1e-5, 1e-5, 1e-4, *each, *others, *[1e-5] * STATE])

@@ -62,29 +62,27 @@ class _Way(NamedTuple):
         return score(self.left, self.mistakes)
 
 
-def others(
-    model: BodyModel, poses: TrackedPoses, known_s: tuple[float, float], unknown: Sequence[tuple[float, float]] = ()
-) -> Iterator[Interpretation]:
+def others(model: BodyModel, poses: TrackedPoses) -> Iterator[Interpretation]:
     """Ways to read a recording otherwise that leave much less of it, the likeliest of one, two and three mistakes.
 
     Axes of the tracker are one mistake. Two mistakes compete in all pairs, the third one is added to the best pair.
 
     Args:
         model: of the body.
-        poses: as of :meth:`onboard.identification.body.fit.BodyModel.fit`.
-        known_s: the same.
-        unknown: the same.
+        poses: of the recording.
 
     Raises:
         ConvergenceError: there are no windows of poses.
     """
-    found, full, names = model.products(poses, known_s, unknown), model.full, model.thrusters.names
+    found, full, names = model.products(poses), model.full, model.thrusters.names
 
     def weighed(axes: int, some: Sequence[_Commands]) -> Iterator[_Way]:
         forces = np.zeros((len(some), *full.shape))
         for k, one in enumerate(some):
             forces[k, list(one.valves)] = np.array(one.signs)[:, None] * full
-        least = solved(found, forces, model.place_m, _read(model, axes)).least
+        y, yaw, quarters = _AXES[axes]
+        read = PoseAxes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
+        least = solved(found, forces, model.tracker.place_m, read).least
         return (_Way(left, axes, one) for left, one in zip(least.tolist(), some, strict=True))
 
     stated = _Commands((), tuple(range(len(names))), (1.0,) * len(names))
@@ -106,11 +104,6 @@ def _changed(now: _Commands, names: Sequence[str]) -> Iterator[_Commands]:
         yield _Commands((*now.said, f"{pair} are exchanged"), valves, now.signs)
     for name, factor in zip(names, turned(len(names)), strict=True):
         yield _Commands((*now.said, f"{name} pushes {_OTHER}"), now.valves, tuple(factor * now.signs))
-
-
-def _read(model: BodyModel, axes: int) -> PoseAxes:
-    y, yaw, quarters = _AXES[axes]
-    return PoseAxes(y, yaw, model.axes.turn_rad + 0.5 * np.pi * quarters)
 
 
 def _reading(way: _Way, model: BodyModel, poses: TrackedPoses) -> Interpretation:

@@ -19,20 +19,26 @@ class Thrusters(NamedTuple):
 
 
 class BodySigmas(NamedTuple):
-    """1 sigma of what moves the body besides its thrusters' scales, and of what is known of these."""
+    """1 sigma of what moves the body besides its thrusters' scales, and of what is known of these; as the keys say."""
 
-    mass: float | None  # relative; None: nothing is known of it
-    tilt_m_s2: float
-    uneven_m_s2: float  # steady in a window
-    turning_rad_s2: float
-    drag_1_s: float
-    spin_drag_1_s: float
-    place_m: float  # of each thruster's lever
-    turn_rad: float
-    leak: float  # share of the force while it is off
-    delay_s: tuple[float, float]  # least and largest
-    each_delay_s: float
-    loss_s: float
+    mass_sigma: float | None  # relative; None: nothing is known of it
+    tilt_sigma_m_s2: float
+    uneven_sigma_m_s2: float  # steady in a window
+    turning_sigma_rad_s2: float
+    drag_sigma_1_s: float
+    spin_drag_sigma_1_s: float
+    place_sigma_m: float  # of each thruster's lever
+    turn_sigma_rad: float
+    leak_sigma: float  # share of the force while it is off
+    delay_ms: tuple[float, float]  # least and largest
+    each_delay_sigma_ms: float
+    loss_sigma_ms: float
+
+    @property
+    def delay_s(self) -> tuple[float, float]:
+        """Least and largest delay."""
+        low, high = self.delay_ms
+        return 1e-3 * low, 1e-3 * high
 
 
 class Tracker(NamedTuple):

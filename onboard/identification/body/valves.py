@@ -57,12 +57,8 @@ class Valve:
         order = np.argsort(edges, kind="stable")
         return Edges(edges[order], self._change[kept][order], self._late_s[kept][order])
 
-    def impulse_s(self, time_s: FloatArray, how: Opening) -> FloatArray:
-        """Integral of the level that the valve has from the start until some times, in any shape."""
-        return np.asarray(self.integrals(time_s, how)[0], np.float64)
-
     def integrals(self, time_s: FloatArray, how: Opening) -> FloatArray:
-        """That, in s, and its integral, in s^2: (2, ...)."""
+        """Of the level that it has from the start until some times, in any shape, s, and of that, s^2: (2, ...)."""
         edges, change, _ = self.edges(how)
         level, moment, second = (
             np.append(0.0, np.cumsum(of)) for of in (change, change * edges, 0.5 * change * edges * edges)

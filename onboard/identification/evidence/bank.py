@@ -127,16 +127,16 @@ class Changed(NamedTuple):
         that of :meth:`evidence`.
         """
         nats, logs = self.evidence(suspects, farthest)
-        ends, alone = list(accumulate((one.along.shape[1] for one in suspects), initial=0)), logs.diagonal()
+        columns, alone = columns_of(suspects), logs.diagonal()
         least = float(logs.max(initial=0.0)) + math.log(LEAST_WEIGHT)
         ones = (every | (alone > least - math.log(max(len(alone), 1)))).nonzero()[0].tolist()
         each = nats.diagonal().tolist()
-        found = [self._hypothesis(suspects[k], range(ends[k], ends[k + 1]), each[k]) for k in ones]
+        found = [self._hypothesis(suspects[k], columns[k], each[k]) for k in ones]
         second = np.maximum(alone, alone[:, None]) + math.log(LIKELIER)
         for k, other in zip(*(part.tolist() for part in (logs > np.maximum(second, least)).nonzero()), strict=True):
             if k < other:
-                which = (*range(ends[k], ends[k + 1]), *range(ends[other], ends[other + 1]))
-                found.append(self._hypothesis(_both(suspects[k], suspects[other]), which, float(nats[k, other])))
+                both = _both(suspects[k], suspects[other])
+                found.append(self._hypothesis(both, columns[k] + columns[other], float(nats[k, other])))
         return found
 
     def _hypothesis(self, suspect: Suspect, which: Sequence[int], nats: float) -> Hypothesis:

@@ -282,12 +282,11 @@ def windows_of(ticks: Ticks, held: BoolArray, period_s: float, R_BS: FloatArray)
     apart = (held[1:] != held[:-1]) | ~known[1:] | ~known[:-1] | gaps(ticks.time_s, period_s)
     parts, first = list[slice](), 0
     for end in (*(np.flatnonzero(apart) + 1).tolist(), len(known)):
-        while first < end and not use[first].all():
-            first += 1
         while end - first >= SHORTEST:
-            parts.append(slice(first, min(first + most, end)))
-            first = parts[-1].stop
-            while first < end and not use[first].all():
+            if use[first].all():
+                parts.append(slice(first, min(first + most, end)))
+                first = parts[-1].stop
+            else:
                 first += 1
         first = end
     if not parts:

@@ -61,7 +61,7 @@ class PivotRun(TableRun):
     ) -> None:
         super().__init__(base)
         self.model, self._causes = model, Causes(keys, model.sigma)
-        self._scales = np.array([name.startswith("scale_") for name in model.names[BODY:]], np.float64)
+        self._scales = np.flatnonzero([name.startswith("scale_") for name in model.names[BODY:]])
         self.quantity_names = (*FREE_BODY, *(f"move_{name}" for name in balance))
         self._units = ("m",) * 3 + ("kg m^2",) * 6 + ("m",) * len(balance)
         moves = np.array([m * np.asarray(a) / np.linalg.norm(a) for m, a in balance.values()]).reshape(-1, 3)
@@ -190,33 +190,29 @@ class PivotRun(TableRun):
         x, sigma = self.found.fit.x[BODY : self.found.globals], self.model.sigma[BODY:]
         left = self.found.fit.covariance[BODY : self.found.globals, BODY : self.found.globals] / np.outer(sigma, sigma)
         in_told = x / sigma / expected_sigma(np.ones(len(x)), np.diag(left), self.found.wider)
-        each, of_all = dict(zip(self.model.names[BODY:], in_told.tolist(), strict=True)), dict[str, float]()
-        scales = np.flatnonzero(self._scales)
-        if scales.size:
-            mean = sigma[scales] / np.linalg.norm(sigma[scales])  # of all wheels, one stated sigma
-            own = float(mean @ left[np.ix_(scales, scales)] @ mean)
-            common = float(x[scales].sum() / np.linalg.norm(sigma[scales]))
+        each, of_all, unchecked = dict(zip(self.model.names[BODY:], in_told.tolist(), strict=True)), {}, list[str]()
+        if (scales := self._scales).size:
+            of_wheels, size = left[np.ix_(scales, scales)], float(np.linalg.norm(sigma[scales]))
+            mean = sigma[scales] / size  # of all wheels, one stated sigma
+            own = float(mean @ of_wheels @ mean)
+            common = float(x[scales].sum() / size)
             of_all["the wheels' inertia"] = float(common / expected_sigma(np.ones(1), np.array([own]))[0])
+            unchecked = self._unchecked(sigma[scales], np.append(np.diag(of_wheels), own))
         all_of_them = together(x / sigma, left)
         bad, doubts = list(contradicted(each | of_all) or all_of_them.refused()), list(doubtful(each, TOLD))
-        doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted()]
-        doubts += self._unchecked(sigma[scales], left[np.ix_(scales, scales)])
+        doubts += [*doubtful(of_all, TOLD), *all_of_them.doubted(), *unchecked]
         larger, large = misfit_texts(zip(("gyro", "accelerometer"), self.found.by_sensor, strict=True))
         return Findings((*bad, *larger), (*doubts, *large))
 
-    def _unchecked(self, sigma: FloatArray, left: FloatArray) -> list[str]:
+    def _unchecked(self, sigma: FloatArray, share: FloatArray) -> list[str]:
         """Which wheels' scales the data tell too little of, together or one by one: the stated ones are not checked.
 
         Args:
             sigma: stated, (w,).
-            left: covariance of their errors after the fit, in stated sigmas, (w, w).
+            share: variances of their errors after the fit, of each and of all together, in stated ones, (w + 1,).
         """
-        if not sigma.size:
-            return []
-        mean = sigma / np.linalg.norm(sigma)
         stated = np.append(sigma, np.linalg.norm(sigma) / sigma.size)
-        share = np.append(np.diag(left), mean @ left @ mean)
         wide = stated * np.sqrt(share / np.maximum(1.0 - share, np.finfo(np.float64).eps)) > CHECKED
-        names = [name.removeprefix("scale_") for name in self.model.names[BODY:] if name.startswith("scale_")]
+        names = [self.model.names[BODY + k].removeprefix("scale_") for k in self._scales]
         kept = names if wide[-1] else [name for name, one in zip(names, wide[:-1], strict=True) if one]
         return [UNCHECKED.format(", ".join(kept))] if kept else []

@@ -30,7 +30,6 @@ from onboard.identification.corrections import refused_from
 from onboard.identification.free_flyer.batch import MotionFit, PayloadFit
 from onboard.identification.free_flyer.guesses import GUESSES
 from onboard.identification.free_flyer.prediction.further import PlacedImu
-from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.parameters import Unknowns
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
@@ -58,6 +57,9 @@ class TableFit(MotionFit):
     minimum explains the run and was reached from both drags. All ticks are fitted from the likeliest
     two, and the likeliest of all results is kept. Where an instrument is wrong nothing explains the run: searches are
     bounded, and results far from an answer are not fitted to all ticks.
+
+    Arguments and errors are those of :class:`AirBearingBase` and :class:`MotionFit`; ``likely``: the payload at which
+    the noise of the joints is weighed; None: the first guess.
     """
 
     _base: AirBearingBase
@@ -65,14 +67,16 @@ class TableFit(MotionFit):
 
     def __init__(
         self,
-        base: AirBearingBase,
+        vehicle: VehicleModel,
         imu_frame: str,
+        signals: FlightSignals,
         payload_sigma: FloatArray,
         link_covariance: Mapping[str, FloatArray],
-        imu_prior: ImuPrior = CERTAIN,
+        prior: AirBearingPrior,
         likely: RigidBody | None = None,
     ) -> None:
-        super().__init__(base, imu_frame, payload_sigma, link_covariance, imu_prior)
+        base = AirBearingBase(vehicle, signals, prior)
+        super().__init__(base, imu_frame, payload_sigma, link_covariance, prior.imu)
         if base.signals.joint_sigma is not None and base.signals.joint_sigma.any():
             self._likely = base.vehicle.chi.copy()
             with suppress(SignalError):  # no mass can be seen so: that of the file
@@ -117,8 +121,10 @@ class TableFit(MotionFit):
         Raises:
             EstimationError, SignalError: as :meth:`MotionFit.fit`.
         """
-        fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM)
-        return self._dragged(self.found(fitted))
+        return self._dragged(self._finished(x))
+
+    def _finished(self, x: FloatArray) -> PayloadFit:
+        return self.found(fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM))
 
     def _dragged(self, found: PayloadFit) -> PayloadFit:
         """The same, or where pucks push in it the fit from where these drags are zero, if it is likelier."""
@@ -129,10 +135,9 @@ class TableFit(MotionFit):
         x[pushing] = 0.0
         try:
             x = self.held(x, pushing, NEAR_MINIMUM, self.ticks, Work(ITERATIONS * self.ticks)).x
-            fitted = fit(self.residuals, x, np.zeros_like(x), self.prior_information, PATIENT, MINIMUM)
+            return min(found, self._finished(x), key=lambda one: one.fit.residual_sum)
         except EstimationError:
             return found
-        return min(found, self.found(fitted), key=lambda one: one.fit.residual_sum)
 
     def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "TableFit":
         """The same if the joints had these errors, as :meth:`AirBearingBase.with_errors` takes them."""
@@ -256,23 +261,6 @@ class Searched(NamedTuple):
 
     x: FloatArray  # (p,)
     squares: float  # sum of its whitened residuals
-
-
-def table_fit(
-    vehicle: VehicleModel,
-    imu_frame: str,
-    signals: FlightSignals,
-    payload_sigma: FloatArray,
-    link_covariance: Mapping[str, FloatArray],
-    prior: AirBearingPrior,
-    likely: RigidBody | None = None,
-) -> TableFit:
-    """The fit of a run on the table; arguments and errors as :class:`AirBearingBase` and :class:`MotionFit` have.
-
-    ``likely``: the payload at which the noise of the joints is weighed; None: the first guess.
-    """
-    base = AirBearingBase(vehicle, signals, prior)
-    return TableFit(base, imu_frame, payload_sigma, link_covariance, prior.imu, likely)
 
 
 class DragFit(NamedTuple):

@@ -14,6 +14,7 @@ from onboard.identification.free_flyer.misfit import beyond_chance
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction
+from onboard.identification.windows import summed
 
 INSTRUMENTS = ("gyro", "accelerometer")  # of the first IMU
 _PATIENCE = 6  # predictions by whose gain the rest is judged
@@ -111,12 +112,7 @@ class FlightFit(NamedTuple):
 
 def total_of(blocks: Sequence[NormalEquations], parameters: int) -> Normal:
     """Normal equations of all blocks together."""
-    information, gradient, squares = np.zeros((parameters, parameters)), np.zeros(parameters), 0.0
-    for block in blocks:
-        information[np.ix_(block.columns, block.columns)] += block.normal.information
-        gradient[block.columns] += block.normal.gradient
-        squares += block.normal.squares
-    return Normal(information, gradient, squares)
+    return summed(((block.columns, block.normal) for block in blocks), parameters)
 
 
 def misfit_by_instrument(blocks: Sequence[NormalEquations]) -> dict[str, float]:

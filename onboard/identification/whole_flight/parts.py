@@ -9,8 +9,7 @@ sum ``r' r + 2 g' d + d' N d``. Two questions are asked of this:
 - *prediction* of one half of the held time from the other, with rates and biases of the predicted half re-estimated.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,28 +17,33 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import Normal, inverse_of
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
+from onboard.identification.corrections import Chance
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import FlightFit, NormalEquations, total_of
-from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
 
 PAYLOAD = slice(0, 10)
+_DETERMINED = 1e-6  # share of a score's information that is its own, in a direction that counts: less is rounding
 
 
-@dataclass(frozen=True)
-class Difference(Chance):
-    """How far the payload of a part of the flight is from that of the rest."""
+def score_of(gradient: FloatArray, own: FloatArray, spread: FloatArray, misfit: float) -> Chance:
+    """``g' S^-1 g`` over the principal directions of S that are not rounding, and their number, in units of ``own``.
 
-    part: str
+    Args:
+        gradient: g, the score, (k,).
+        own: its information, (k, k).
+        spread: S, its covariance.
+        misfit: of the fit, by which the sum is less where it is above one.
+    """
+    scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
+    told = values > _DETERMINED
+    squares = float(((vectors[:, told].T @ (gradient / scale)) ** 2 / values[told]).sum())
+    return Chance(squares / max(1.0, misfit), int(np.count_nonzero(told)))
 
-    @property
-    def text(self) -> str:
-        """``the load_cell tells another payload than the rest (chi-squared 90 of 6)``."""
-        return f"{self.part} tells another payload than the rest (chi-squared {self.squares:.0f} of {self.freedom})"
 
-
-def differences(found: FlightFit, phases: Callable[[float], int]) -> list[Difference]:
+def differences(found: FlightFit, phases: Callable[[float], int]) -> dict[str, Chance]:
     """Score tests of the later half of the held time, of each instrument but the first, and of each phase.
 
     Args:
@@ -48,13 +52,12 @@ def differences(found: FlightFit, phases: Callable[[float], int]) -> list[Differ
     """
     held = [block for block in found.blocks if block.held]
     middle_s = _middle(held)
-    made = [_difference(found, "the later half of the motion", (b for b in held if b.middle_s > middle_s))]
+    parts = {"the later half of the motion": [block for block in held if block.middle_s > middle_s]}
     for name in list(dict.fromkeys(block.instrument for block in held))[1:]:
-        made.append(_difference(found, f"the {name}", (b for b in held if b.instrument == name)))
-    codes = sorted({phases(block.middle_s) for block in held})
-    for code in codes[1:]:
-        made.append(_difference(found, f"phase {code}", (b for b in held if phases(b.middle_s) == code)))
-    return made
+        parts[f"the {name}"] = [block for block in held if block.instrument == name]
+    for code in sorted({phases(block.middle_s) for block in held})[1:]:
+        parts[f"phase {code}"] = [block for block in held if phases(block.middle_s) == code]
+    return {part: _difference(found, rows) for part, rows in parts.items()}
 
 
 def halves(flight: WholeFlight, found: FlightFit) -> HeldOut:
@@ -112,10 +115,10 @@ def _without_rates_elsewhere(information: FloatArray, flight: WholeFlight) -> Fl
     return information
 
 
-def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) -> Difference:
-    rows = list(blocks)
+def _difference(found: FlightFit, rows: Sequence[NormalEquations]) -> Chance:
+    """How far the payload of these rows is from that of the rest."""
     if not rows or len(rows) == len(found.blocks):
-        return Difference(0.0, 0, part)
+        return Chance()
     some = total_of(rows, found.fit.x.size)
     across = some.information[PAYLOAD]  # (10, p)
     own = across[:, PAYLOAD]
@@ -125,8 +128,7 @@ def _difference(found: FlightFit, part: str, blocks: Iterable[NormalEquations]) 
         noise[block.columns] += block.noise
     doubt = across @ found.correction.sigma - NOISE_SIGMA * noise[PAYLOAD]
     S += np.outer(doubt, doubt)
-    squares, freedom = score_of(some.gradient[PAYLOAD], own, S)
-    return Difference(squares / max(1.0, found.misfit), freedom, part)
+    return score_of(some.gradient[PAYLOAD], own, S, found.misfit)
 
 
 def _middle(blocks: Sequence[NormalEquations]) -> float:

@@ -12,7 +12,6 @@ what they tell.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,20 +19,15 @@ import numpy as np
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
-from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, Normal, inverse_of
+from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, inverse_of
+from onboard.identification.corrections import Chance
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.whole_flight.blocks import NormalEquations, misfit_by_instrument, total_of
-from onboard.identification.whole_flight.chance import Chance, score_of
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.parts import PAYLOAD
+from onboard.identification.whole_flight.parts import PAYLOAD, score_of
 
 _HALVINGS = 6
-
-
-@dataclass(frozen=True)
-class Disagreement(Chance):
-    """How far the payload of one flight is from that of all."""
 
 
 class _Reduced(NamedTuple):
@@ -54,13 +48,9 @@ class Pooled(NamedTuple):
     payload: BodyEstimate  # in the payload link's frame
     chi: FloatArray  # (10,) standard parameters
     chi_covariance: FloatArray  # (10, 10)
-    names: tuple[str, ...]  # of the common parameters
-    common: FloatArray  # (c,)
-    covariance: FloatArray  # (c, c)
-    x: tuple[FloatArray, ...]  # parameters of each flight, (p,)
     misfit: float  # residual sum over its degrees of freedom
     by_instrument: dict[str, float]
-    disagreements: tuple[Disagreement, ...]  # of each flight
+    disagreements: tuple[Chance, ...]  # how far the payload of each flight is from that of all
     held_out: HeldOut | None  # later flights from earlier ones and the reverse; None of a single one
     rows: int
 
@@ -73,30 +63,26 @@ class Pool:
     """
 
     def __init__(self, flights: Sequence[WholeFlight]) -> None:
-        self._flights = tuple(flights)
-        self._own = [flight.of_a_part for flight in flights]
-        self._common: list[IndexArray] = [
-            np.setdiff1d(np.arange(len(flight.names)), flight.of_a_part).astype(np.intp) for flight in flights
-        ]
-        self.names = tuple(flights[0].names[k] for k in self._common[0])
-        self._prior = np.nan_to_num(1.0 / flights[0].sigma[self._common[0]] ** 2)
+        self._flights, one = tuple(flights), flights[0]
+        self._common = np.setdiff1d(np.arange(one.constants), one.of_a_part).astype(np.intp)
+        self._prior = np.nan_to_num(1.0 / one.sigma[self._common] ** 2)
 
-    def fit(self, starts: Sequence[FloatArray], common: FloatArray) -> Pooled:
+    def fit(self, starts: Sequence[FloatArray], best: FloatArray) -> Pooled:
         """The estimate.
 
         Args:
             starts: parameters of each flight, (p,), of which its own are used.
-            common: (c,) from where the common ones start.
+            best: parameters of one, of which the common ones are used.
 
         Raises:
             ConvergenceError, SingularError: flights that determine too little, or contradict each other.
             SignalError: a payload without a mass.
         """
-        x = [start.copy() for start in starts]
-        for flight, at, one in zip(self._flights, self._common, x, strict=True):
-            one[at] = common
+        x, z = [start.copy() for start in starts], best[self._common]
+        for flight, one in zip(self._flights, x, strict=True):
+            one[self._common] = z
             flight.weigh(one)
-        z, parts = common.copy(), self._reduced(x)
+        parts = self._reduced(x)
         for _ in range(ITERATIONS):
             information = np.diag(self._prior) + sum(part.S for part in parts)
             gradient = self._prior * z + sum(part.s for part in parts)
@@ -115,9 +101,9 @@ class Pool:
         for k in range(_HALVINGS):
             share = 0.5**k
             moved = [one.copy() for one in x]
-            for one, own, at, part in zip(moved, self._own, self._common, parts, strict=True):
-                one[own] += share * (part.step + part.by_common @ d)
-                one[at] = z + share * d
+            for one, flight, part in zip(moved, self._flights, parts, strict=True):
+                one[flight.of_a_part] += share * (part.step + part.by_common @ d)
+                one[self._common] = z + share * d
             found = self._reduced(moved)
             if self._cost(z + share * d, found) <= before + MINIMUM:
                 return moved, z + share * d, found
@@ -127,11 +113,7 @@ class Pool:
         return float(self._prior @ z**2) + sum(part.squares for part in parts)
 
     def _reduced(self, x: Sequence[FloatArray]) -> list[_Reduced]:
-        found = []
-        for flight, own, at, one in zip(self._flights, self._own, self._common, x, strict=True):
-            blocks = tuple(flight.blocks(one))
-            found.append(_reduced(total_of(blocks, one.size), one, own, at, flight.sigma, blocks))
-        return found
+        return [_reduced(flight, one, self._common) for flight, one in zip(self._flights, x, strict=True)]
 
     def _pooled(self, x: list[FloatArray], z: FloatArray, parts: list[_Reduced]) -> Pooled:
         P = inverse_of(np.diag(self._prior) + sum(part.S for part in parts))
@@ -143,10 +125,6 @@ class Pool:
             body_estimate(z[:10], P[PAYLOAD, PAYLOAD]),
             z[:10],
             P[PAYLOAD, PAYLOAD],
-            self.names,
-            z,
-            P,
-            tuple(x),
             misfit,
             misfit_by_instrument(blocks),
             tuple(_disagreement(part, P, misfit) for part in parts),
@@ -173,15 +151,9 @@ class Pool:
         return HeldOut(predicted[0], predicted[1], fit)
 
 
-def _reduced(
-    rows: Normal,
-    x: FloatArray,
-    own: IndexArray,
-    common: IndexArray,
-    sigma: FloatArray,
-    blocks: tuple[NormalEquations, ...],
-) -> _Reduced:
-    prior = np.nan_to_num(1.0 / sigma[own] ** 2)
+def _reduced(flight: WholeFlight, x: FloatArray, common: IndexArray) -> _Reduced:
+    blocks, own = tuple(flight.blocks(x)), flight.of_a_part
+    rows, prior = total_of(blocks, x.size), np.nan_to_num(1.0 / flight.sigma[own] ** 2)
     A = rows.information[np.ix_(own, own)] + np.diag(prior)
     A[np.diag_indices_from(A)] += np.where(np.diag(A) > 0.0, 0.0, 1.0)  # a rate that no row shows
     across, g = rows.information[np.ix_(common, own)], rows.gradient[own] + prior * x[own]
@@ -199,9 +171,8 @@ def _reduced(
     )
 
 
-def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Disagreement:
+def _disagreement(part: _Reduced, P: FloatArray, misfit: float) -> Chance:
     """Score test: does the payload of one flight differ, all else common?"""
     across = part.S[PAYLOAD]
     own = across[:, PAYLOAD]
-    squares, freedom = score_of(part.s[PAYLOAD], own, own - across @ P @ across.T)
-    return Disagreement(squares / max(1.0, misfit), freedom)
+    return score_of(part.s[PAYLOAD], own, own - across @ P @ across.T, misfit)

@@ -13,16 +13,14 @@ the rest. If several do, two instruments contradict each other and nothing tells
 the joints or the model may be. Both answers are refused.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.payload import body_estimate, body_jacobian
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.errors import EstimationError
 from onboard.estimation.maximum_likelihood import ROUNDS
 from onboard.estimation.policy import DOUBT, LEAST_WEIGHT, REFUSE, of_each, tails
 from onboard.identification.corrections import contradicted, expected_sigma, misfit_texts, too_large
@@ -35,7 +33,6 @@ from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.parts import PAYLOAD, differences
 from onboard.identification.whole_flight.stated import bodies_of
 from onboard.identification.whole_flight.steps_inside import StepsInside
-from onboard.identification.windows import STAGES_s
 
 
 class Tested(NamedTuple):
@@ -118,33 +115,15 @@ def tested(flight: WholeFlight, found: FlightFit, phase_at: Callable[[float], in
     of_parts = differences(found, phase_at)
     refused, doubted = (of_each(budget, len(of_parts)) for budget in (REFUSE, DOUBT))
     larger, large = misfit_texts(found.by_instrument.items())
-    against = [one.text for one in of_parts if one.chance < refused] + larger
-    doubts = [one.text for one in of_parts if refused <= one.chance < doubted] + large
+    told = [(one.text(part, "the rest"), one.chance) for part, one in of_parts.items()]
+    against = [text for text, chance in told if chance < refused] + larger
+    doubts = [text for text, chance in told if refused <= chance < doubted] + large
     bodies, corrections, of_bodies = bodies_of(flight, found), _corrections(flight, found), _by_the_data(flight, found)
     against += [*bodies.refused(), *contradicted(of_bodies), *too_large(corrections)]
     doubts += bodies.doubted()
     ends = tuple(f"_{one.name}" for one in flight.further)  # theirs are hypotheses
     own = {k: sigmas for k, sigmas in corrections.items() if k not in of_bodies and not k.endswith(ends)}
     return Tested(flight, found, own, of_bodies, Findings(tuple(against), tuple(doubts)))
-
-
-def without_each(
-    made: Callable[[int], WholeFlight], devices: tuple[int, ...], start: FloatArray, phase_at: Callable[[float], int]
-) -> Iterator[tuple[int, Tested]]:
-    """The tests of the flight without each instrument, as far as there is a fit.
-
-    Args:
-        made: the flight without one.
-        devices: numbers of those that are left out, one at a time.
-        start: (p,) from where it is fitted.
-        phase_at: code of the phase at a time, s.
-    """
-    for device in devices:
-        try:
-            flight = made(device)
-            yield device, fitted(flight, start, STAGES_s, phase_at)
-        except (EstimationError, ModelError):
-            continue
 
 
 def _by_the_data(flight: WholeFlight, found: FlightFit) -> dict[str, float]:

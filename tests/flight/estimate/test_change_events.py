@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.records import Severity, event
-from onboard.flight.estimate.answers import PAYLOAD_CHANGES, change_event, change_of, instrument_of
+from onboard.flight.estimate.answers import PAYLOAD_CHANGES, change_event, change_of
 from onboard.identification.change import Change
 
 
@@ -30,15 +30,19 @@ def test_a_rejected_announcement_is_read_at_the_time_of_its_event(kind: str) -> 
 
 @pytest.mark.parametrize("kind", ["left_out", "taken_back"])
 def test_an_instrument_left_out_or_taken_back_is_read_from_its_event(kind: str) -> None:
-    found = instrument_of(change_event(10**9, Change(kind, 0.9, 0.9, np.nan, "imu_2")).rows[0])
+    found = change_of(change_event(10**9, Change(kind, 0.9, 0.9, np.nan, "imu_2")).rows[0])
     assert found is not None
     assert (found.kind, found.what, found.time_s) == (kind, "imu_2", 1.0)
-    assert instrument_of(change_event(10**9, Change("capture", 0.9, 0.9, np.nan, "imu_2")).rows[0]) is None
+    other = change_of(change_event(10**9, Change("capture", 0.9, 0.9, np.nan, "imu_2")).rows[0])
+    assert other is not None
+    assert (other.kind, other.what) == ("capture", "")
 
 
 def test_other_events_are_no_changes() -> None:
-    told = change_event(10**9, Change("left_out", 0.5, 0.5, np.nan, "x"))
-    others = [told, event(10**9, Severity.INFO, "phase", "estimation", "phase 1, 0.50 s ago")]
+    others = [
+        change_event(10**9, Change("absent", 0.5, 0.5, np.nan, "x")),
+        event(10**9, Severity.INFO, "phase", "estimation", "phase 1, 0.50 s ago"),
+    ]
     others += [event(10**9, Severity.INFO, "capture", "arm", "capture 0.50 s ago")]
     others += [event(10**9, Severity.INFO, "capture", "estimation", "capture")]
     assert [change_of(one.rows[0]) for one in others] == [None] * 4

@@ -16,9 +16,10 @@ from onboard.estimation.gates import GateReason
 from onboard.flight.estimate import checkpoint
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimator import Estimator
-from onboard.flight.estimate.state import FORMAT, StateError, UnwrittenParts, from_bytes, to_bytes
+from onboard.flight.estimate.state import FORMAT, StateError, UnwrittenParts, from_bytes
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
+from tests.flight.estimate.state_bytes import to_bytes
 
 NOTHING = UnwrittenParts(None)
 

@@ -17,7 +17,7 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.identification.free_flyer.batch import MotionFit
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
-from onboard.identification.table.air_bearing import Searched, TableFit, Work, drag_of, table_fit
+from onboard.identification.table.air_bearing import Searched, TableFit, Work, drag_of
 from onboard.identification.table.floating_base import DragPrior
 from onboard.identification.table.joints import bound, step
 from tests.identification.table.bed_run import (
@@ -45,14 +45,14 @@ def test_where_the_fit_of_growing_parts_fails_minima_are_searched_for(rng, monke
         raise ConvergenceError("not converged")
 
     monkeypatch.setattr(MotionFit, "fit", fails)
-    found = table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
+    found = TableFit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
     drag = drag_of(found, prior.pucks)
     assert (np.abs(drag.drag - [0.3, 0.03]) < 3.5 * drag.sigma).all()
     assert abs(found.payload.body.mass_kg - BOX.mass_kg) < 3.5 * np.sqrt(found.payload.covariance[0, 0])
     assert found.misfit == pytest.approx(1.0, abs=0.1)
     monkeypatch.setattr(TableFit, "searched", lambda _: [])
     with pytest.raises(ConvergenceError, match="not converged"):
-        table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
+        TableFit(vehicle(), "imu_base", signals, WIDE, {}, prior).fit()
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def contradicted(run, rng):
     wrong = signals._replace(
         **{name: getattr(signals, name) * [1.0, 0.5, 1.0, 1.0, 1.0] for name in ("q", "dq", "ddq")}
     )
-    return table_fit(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
+    return TableFit(run.vehicle, "imu_base", wrong, WIDE, {}, PRIOR)
 
 
 def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contradicted, monkeypatch):
@@ -88,7 +88,7 @@ def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contra
 def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
     run, rng, monkeypatch, by_one_drag, by_the_other, searches
 ):
-    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
     left = {drags: iter(own) for drags, own in zip(air_bearing.DRAGS, (by_one_drag, by_the_other), strict=True)}
     done = []
 
@@ -121,7 +121,7 @@ def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
 
 def test_a_fit_whose_pucks_push_is_searched_again(run):
     """Coulomb drag of one puck below zero by more than its sigma: a run of the bed (seed 91003) was 12 sigmas off."""
-    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    motion_fit = TableFit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
     x, covariance = motion_fit.start(PAYLOAD), np.eye(len(motion_fit.start(PAYLOAD)))
     drag = motion_fit.layout.estimated("drag")
     covariance[drag, drag] = 0.2**2
@@ -140,7 +140,7 @@ def test_a_fit_whose_pucks_push_is_searched_again(run):
 
 
 def test_payload_and_drag_of_a_noisy_run(run, rng):
-    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
     found = motion_fit.fit()
     sigma = np.sqrt(np.diag(found.payload.covariance))
     drag = drag_of(found, PUCKS)
@@ -165,19 +165,19 @@ def test_an_imu_too_bad_for_the_motion_does_not_determine_the_payload(run, rng):
         rate_sigma=np.full(3, 2.0),
         specific_force_sigma=np.full(3, 20.0),
     )
-    found = table_fit(run.vehicle, "imu_base", worse, WIDE, {}, PRIOR).fit()
+    found = TableFit(run.vehicle, "imu_base", worse, WIDE, {}, PRIOR).fit()
     assert "does not determine the payload" in drag_of(found, PUCKS).reason
 
 
 def test_an_arm_that_stands_still_fits_nothing(rng):
-    motion_fit = table_fit(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, PRIOR)
+    motion_fit = TableFit(vehicle(), "imu_base", noisy(fly(0.0, 3.0), rng), WIDE, {}, PRIOR)
     with pytest.raises(ConvergenceError, match="no joint moves"):
         motion_fit.fit()
 
 
 def test_a_gyro_that_reads_too_much_contradicts_the_joints(run, rng):
     signals = noisy(run, rng).coarser(2)
-    found = table_fit(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR).fit()
+    found = TableFit(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR).fit()
     assert "contradict" in drag_of(found, PUCKS).reason
 
 
@@ -185,27 +185,27 @@ def test_what_cannot_be_used_is_named(run):
     signals = exact(run)
     own = standard_covariance(run.vehicle.chi[:10], 0.01, 1e-3, 0.01)
     with pytest.raises(SignalError, match="the base is free"):
-        table_fit(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, PRIOR)
+        TableFit(vehicle(BaseKind.FREE), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="no payload link"):
-        table_fit(vehicle(payload=None), "imu_base", signals, WIDE, {}, PRIOR)
+        TableFit(vehicle(payload=None), "imu_base", signals, WIDE, {}, PRIOR)
     with pytest.raises(UnknownFrameError, match="hand is none"):
-        table_fit(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, PRIOR)
+        TableFit(run.vehicle, "imu_base", signals, WIDE, {"hand": own}, PRIOR)
     with pytest.raises(UnknownFrameError, match="'puck_4'"):
-        table_fit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"puck_4": DragPrior(1.0, 1.0)}))
+        TableFit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"puck_4": DragPrior(1.0, 1.0)}))
     with pytest.raises(UnknownFrameError, match="moves with a joint"):
-        table_fit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"link_3": DragPrior(1.0, 1.0)}))
+        TableFit(run.vehicle, "imu_base", signals, WIDE, {}, PRIOR._replace(pucks={"link_3": DragPrior(1.0, 1.0)}))
     with pytest.raises(SignalError, match="joints must be known"):
-        table_fit(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, PRIOR)
+        TableFit(run.vehicle, "imu_base", signals._replace(q=signals.q * np.nan), WIDE, {}, PRIOR)
     with pytest.raises(SignalError, match="rates and specific forces"):
-        table_fit(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, PRIOR)
+        TableFit(run.vehicle, "imu_base", signals._replace(rate=signals.rate[:-1]), WIDE, {}, PRIOR)
     gone = signals.rate.copy()
     gone[: len(gone) // 2 + 1] = np.nan
     with pytest.raises(SignalError, match="no IMU"):
-        table_fit(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
+        TableFit(run.vehicle, "imu_base", signals._replace(rate=gone), WIDE, {}, PRIOR)
 
 
 def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
-    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    motion_fit = TableFit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
     x = motion_fit.start(PAYLOAD)
     drag = motion_fit.layout.estimated("drag")
     held = np.setdiff1d(np.arange(x.size), motion_fit.layout.estimated("tilt"))
@@ -222,7 +222,7 @@ def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, 
     off = 0.01 * np.eye(5)[2]  # of joint_3, read too large
     joints = {joint.name: JointPrior(zero=0.005) for joint in run.vehicle.joints}
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))
-    motion_fit = table_fit(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
+    motion_fit = TableFit(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
     plain = motion_fit.fit()
     stepped = step(motion_fit, plain.fit)
     found, zeros = motion_fit.found(stepped.fit), stepped.joints
@@ -247,8 +247,8 @@ def test_a_joint_out_of_place_predicts_what_a_drawing_of_it_there_does(run):
     assert rest.startswith("0 0 0.14")
     moved = head + seat + "0.004 -0.003 0.142" + rest.removeprefix("0 0 0.14")
     elsewhere = VehicleModel(moved, VehicleSpec(BaseKind.PLANAR, "base", "payload"))
-    drawn = table_fit(elsewhere, "imu_base", exact(run), WIDE, {}, PRIOR)
-    motion_fit = table_fit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
+    drawn = TableFit(elsewhere, "imu_base", exact(run), WIDE, {}, PRIOR)
+    motion_fit = TableFit(run.vehicle, "imu_base", exact(run), WIDE, {}, PRIOR)
     errors = np.zeros((5, 6))
     errors[4, :3] = 0.004, -0.003, 0.002
     x = motion_fit.start(PAYLOAD)
@@ -259,7 +259,7 @@ def test_a_joint_out_of_place_predicts_what_a_drawing_of_it_there_does(run):
 
 def test_an_open_place_along_the_vertical_leaves_the_payloads_height_open(run, rng):
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {"joint_5": JointPrior(place_m=0.01)}))
-    motion_fit = table_fit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
+    motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
     plain = motion_fit.fit()
     stepped = step(motion_fit, plain.fit)
     found, places = motion_fit.found(stepped.fit), stepped.joints

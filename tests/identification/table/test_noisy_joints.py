@@ -5,7 +5,7 @@ import pytest
 
 from onboard.estimation.smoothing import SmoothingWindow, uncorrelated_s
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
-from onboard.identification.table.air_bearing import table_fit
+from onboard.identification.table.air_bearing import TableFit
 from onboard.identification.table.joints import step
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
@@ -49,7 +49,7 @@ def test_a_payload_is_inside_its_interval_where_the_noise_of_the_joints_is_state
     left = []
     for stated in (True, False):
         signals = with_noise(clean, np.random.default_rng(11), stated)
-        found = table_fit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR).near(_truth(signals))
+        found = TableFit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR).near(_truth(signals))
         sigma = float(np.sqrt(found.payload.covariance[0, 0]))
         left.append((found.misfit, abs(found.payload.body.mass_kg - BOX.mass_kg) / sigma))
     assert left[0][0] == pytest.approx(1.0, abs=0.25)
@@ -58,7 +58,7 @@ def test_a_payload_is_inside_its_interval_where_the_noise_of_the_joints_is_state
 
 
 def _truth(signals):
-    motion_fit = table_fit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR)
+    motion_fit = TableFit(vehicle(), "imu_base", signals, WIDE, {}, PRIOR)
     x = motion_fit.start(PAYLOAD)
     x[motion_fit.layout.estimated("drag")] = [value for one in DRAGS for value in (one.viscous_N_s_m, one.coulomb_N)]
     return x
@@ -73,7 +73,7 @@ def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
     signals = clean._replace(q=read[0], dq=read[1], ddq=read[2], cyclic=functions).coarser(2)
     joint = vehicle().joints[1].name
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {joint: JointPrior(cyclic=((1.0, 0.006),))}))
-    motion_fit = table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior)
+    motion_fit = TableFit(vehicle(), "imu_base", signals, WIDE, {}, prior)
     plain = motion_fit.near(_truth(signals))
     corrected = step(motion_fit, plain.fit)
     multiples = dict(zip(corrected.joints.names, corrected.joints.values, strict=True))
@@ -85,7 +85,7 @@ def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
 
 
 def test_a_fit_that_begins_where_pucks_push_ends_where_they_drag(clean):
-    motion_fit = table_fit(vehicle(), "imu_base", clean.coarser(2), WIDE, {}, PRIOR)
+    motion_fit = TableFit(vehicle(), "imu_base", clean.coarser(2), WIDE, {}, PRIOR)
     x, truth = _truth(clean.coarser(2)), motion_fit.near(_truth(clean.coarser(2)))
     drag = motion_fit.layout.estimated("drag")
     x[drag[1::2]] *= -1.0

@@ -8,7 +8,7 @@ from onboard.dynamics.model.inertia import elements
 from onboard.identification.corrections import contradicted
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.quantities import Findings
-from onboard.identification.table.air_bearing import table_fit
+from onboard.identification.table.air_bearing import TableFit
 from onboard.identification.table.rivals import answered
 from tests.identification.table.bed_run import BOX, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
@@ -22,7 +22,7 @@ def signals():
 
 def found(signals, prior=PRIOR):
     """What is answered of a run, its errors of mass, centre and moment of inertia in sigmas, those of the plain fit."""
-    motion_fit = table_fit(vehicle(), "imu_base", signals, WIDE, {}, prior)
+    motion_fit = TableFit(vehicle(), "imu_base", signals, WIDE, {}, prior)
     plain = motion_fit.fit()
     told = answered(motion_fit, plain)
     off = []

@@ -9,7 +9,7 @@ from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_run
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
-from onboard.identification.table.air_bearing import table_fit
+from onboard.identification.table.air_bearing import TableFit
 from onboard.regressor.rows import BaseMotion, RowModel, base_force_rows, base_moment_rows
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, PUCKS, TILT, WIDE, exact, vehicle
 
@@ -58,7 +58,7 @@ def test_motion_is_mujocos_drag_and_tilt_included(run):
 
 
 def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
-    motion_fit = table_fit(
+    motion_fit = TableFit(
         run.vehicle, "imu_base", exact(run), WIDE, {"base": np.eye(10)}, PRIOR._replace(imu=IMU, sag=1.0)
     )
     x = motion_fit.start(PAYLOAD)
@@ -108,7 +108,7 @@ def test_a_tick_is_the_mean_of_its_samples(run):
     signals = FlightSignals(period_s, *run.motion.at(time_s[:, middle, 0]), *means, sigma, sigma, samples)
     left = []
     for told in (samples, 1):
-        motion_fit = table_fit(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
+        motion_fit = TableFit(run.vehicle, "imu_base", signals._replace(samples=told), WIDE, {}, PRIOR)
         x = motion_fit.start(PAYLOAD)
         names = list(motion_fit.names)
         x[:3] = f.velocity[middle]

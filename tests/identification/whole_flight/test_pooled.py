@@ -25,9 +25,7 @@ def flown(predictor, seed, payload=BOX):
 
 def fit(predictor, flights):
     starts = [started(flight, predictor, 1.1 * standard_of(TRUTH)) for flight in flights]
-    pool = Pool(flights)
-    common = dict(zip(flights[0].names, starts[0], strict=True))
-    return pool.fit(starts, np.array([common[name] for name in pool.names]))
+    return Pool(flights).fit(starts, starts[0])
 
 
 @pytest.fixture(scope="module")

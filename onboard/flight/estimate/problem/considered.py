@@ -11,6 +11,10 @@ from onboard.identification.rows.stated_errors.stated import Stated
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
+_OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
+    ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay"),
+    ("accel", "accelerometer", "accelerometer_scale", "accelerometer_misalignment", "accelerometer_delay"),
+)
 COMMON_SHARE = 0.5  # of the variance of each gain, of which no data sheet gives it: see :func:`of_gains`
 
 
@@ -33,18 +37,8 @@ def of_motion(roles: Roles) -> list[Considered]:
 
 def _of_imu(imu: ImuRole) -> Iterator[Considered]:
     channel, turn = imu.channels[0], imu.misalignment_sigma_rad
-    kinds: tuple[tuple[str, str, Effect, Effect, Effect, float], ...] = (
-        ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay", imu.gyro_scale_sigma),
-        (
-            "accel",
-            "accelerometer",
-            "accelerometer_scale",
-            "accelerometer_misalignment",
-            "accelerometer_delay",
-            imu.accel_scale_sigma,
-        ),
-    )
-    for short, name, scale, misalignment, delay, sigma in kinds:
+    sigmas = imu.gyro_scale_sigma, imu.accel_scale_sigma
+    for (short, name, scale, misalignment, delay), sigma in zip(_OF_SENSORS, sigmas, strict=True):
         what, key = f"of {channel}'s {name}", f"{channel} {short}_scale_sigma"
         yield Considered(f"scale {what}", imu.frame, scale, sigma, key)
         yield Considered(f"delay {what}", imu.frame, delay, imu.delay_sigma_s, f"{channel} delay_sigma_ms")
@@ -85,14 +79,11 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     delay = Considered(f"delay of {name}", name, "delay", cell.delay_sigma_s, f"{name} delay_sigma_ms")
     drift_N_s = keys.drift_N_s if isinstance(keys, LoadCellKeys) else 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
-    return [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else []), *_between(name, keys)]
-
-
-def _between(name: str, keys: LoadCellKeys | TorqueKeys) -> Iterator[Considered]:
-    """A gain that differs with and without the payload: the two were recorded one after the other."""
-    if isinstance(keys, TorqueKeys) and keys.changed_sigma:
-        what, sigma = f"scale of {name} with the payload", keys.changed_sigma
-        yield Considered(what, name, "held_scale", sigma, f"{name} between_recordings_sigma")
+    found = [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+    if isinstance(keys, TorqueKeys) and keys.changed_sigma:  # recorded with the payload, and without
+        what, key = f"scale of {name} with the payload", f"{name} between_recordings_sigma"
+        found.append(Considered(what, name, "held_scale", keys.changed_sigma, key))
+    return found
 
 
 def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
@@ -107,9 +98,8 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
         roles: of the devices.
     """
     scales = [cause for cause in found if cause.effect == "scale" and cause.sigma > 0.0]
-    if len(scales) < 2 or not all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells):
-        return list(found)
-    if len(scales) < len(roles.cells):
+    by_torque = all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells)
+    if len(scales) < max(2, len(roles.cells)) or not by_torque:
         return list(found)
     common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
     own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]

@@ -3,19 +3,17 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from onboard import config
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
-from onboard.dynamics.model.errors import ModelError, UrdfError
+from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
-from onboard.estimation.errors import EstimationError
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
-from onboard.flight.estimate.problem.model import build_model, samples_in_tick, samples_per_tick
+from onboard.flight.estimate.problem.model import build_model, naming_the_file, samples_in_tick, samples_per_tick
 from onboard.flight.estimate.problem.priors import (
     biases,
     check_joints,
@@ -29,7 +27,6 @@ from onboard.flight.estimate.problem.priors import (
     tracker_of,
 )
 from onboard.flight.estimate.problem.sigma_keys import SigmaKeys
-from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
@@ -66,9 +63,15 @@ from onboard.regressor.rows import (
     load_cell_row,
 )
 
-if TYPE_CHECKING:
-    from onboard.identification.pivot.online import PivotRun
-
+Builder = Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
+_ROOM = "onboard.flight.estimate.problem"
+BUILDERS: Mapping[config.Prediction, str] = {  # by name: a vehicle has one
+    config.Prediction.ROWS: f"{_ROOM}.identification:build_identifier",
+    config.Prediction.FREE: f"{_ROOM}.identification:build_free_flyer",
+    config.Prediction.PARABOLAS: f"{_ROOM}.identification:build_parabolas",
+    config.Prediction.PLANAR: f"{_ROOM}.table:build_table",
+    config.Prediction.PIVOT: f"{_ROOM}.pivot:build_pivot",
+}
 NAMING_SEED = 20190812  # base parameters are found on random motion; their names must not depend on luck
 KERNELS_PER_BLOCK = 5
 UNMARKED_CLOCK_s, UNMARKED_MEMORY_s = 1e-3, 1.0  # further IMUs may have no sync marks: wander of their time
@@ -80,11 +83,11 @@ def build_online(vehicle: config.Vehicle) -> tuple[OnlineIdentifier, VehicleMode
     Raises:
         ConfigError: the estimation section does not fit the URDF or the devices.
     """
-    by_name = vehicle.file.estimation.how.builder
-    build: Builder | None = resolve_name(by_name) if by_name else BUILDERS.get(vehicle.prediction)
-    if build is None:
+    by_name = vehicle.file.estimation.how.builder or BUILDERS.get(vehicle.prediction)
+    if by_name is None:
         text = "a body without joints is identified when its run is over: heft identify"
         raise config.ConfigError(f"{vehicle.label}: {text}")
+    build: Builder = resolve_name(by_name)
     return build(vehicle)
 
 
@@ -126,7 +129,7 @@ def build_free_flyer(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[
     """
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
     asked, samples = settings.exiddm, samples_per_tick(vehicle)
-    try:
+    with naming_the_file(vehicle):
         model = build_model(vehicle)
         check_joints(roles, model)
         covariance, imu_prior, payload_sigma = free_flyer_prior(vehicle, model)
@@ -147,8 +150,6 @@ def build_free_flyer(vehicle: config.Vehicle, *, tracked: bool = True) -> tuple[
         step_ticks = max(1, round(1e-3 * settings.step_ms * settings.row_rate_hz))
         told = asked.held_at_start, asked.false_alarms_per_hour, known
         ekf = MotionFilter(predictor, payload_sigma, *told, step_ticks)
-    except (ModelError, EstimationError) as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return MotionIdentifier(ekf), model
 
 
@@ -180,23 +181,6 @@ def channels_of(roles: Roles, further: Sequence[Further]) -> list[tuple[str, ...
     return [names[one.name] for one in further if not isinstance(one, FurtherPose)]
 
 
-def build_pivot(vehicle: config.Vehicle) -> tuple["PivotRun", VehicleModel]:
-    """The estimator of a vehicle on a spherical air bearing, and its model.
-
-    Raises:
-        ConfigError: the estimation section does not fit the URDF or the devices.
-    """
-    from onboard.flight.estimate.problem.pivot import pivot_run  # noqa: PLC0415 - few have it
-
-    try:
-        model = build_model(vehicle)
-        check_joints(roles_of(vehicle), model)
-        check_thrusters(roles_of(vehicle))
-        return pivot_run(vehicle, model, samples_per_tick(vehicle)), model
-    except ModelError as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
-
-
 def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]:
     """The identifier of a vehicle file, and the model under it.
 
@@ -204,7 +188,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         ConfigError: the estimation section does not fit the URDF.
     """
     settings, roles = vehicle.file.estimation, roles_of(vehicle)
-    try:
+    with naming_the_file(vehicle):
         model = build_model(vehicle)
         check_joints(roles, model)
         check_thrusters(roles)
@@ -234,11 +218,11 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
-            drawing = {
-                link: DrawingTolerance(own.mass_relative, own.centre_m, own.inertia_relative, own.length_m)
-                for link, own in settings.masses.drawing.items()
-            }
-            _check_links(drawing, model)
+            stated = settings.masses.drawing.items()
+            drawing = {link: DrawingTolerance(*own.model_dump().values()) for link, own in stated}
+            for link in drawing:
+                if link not in model.links:
+                    raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
             quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
         if vehicle.file.free_body:
             quantities += free_body_quantities(row_model, base, prior)
@@ -260,8 +244,6 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             suspects=row_suspects(vehicle, row_model, base, prior, considered),
             recorded_apart=vehicle.is_recorded,
         )
-    except (ModelError, EstimationError) as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     return identifier, model
 
 
@@ -284,12 +266,6 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 
 
-def _check_links(drawing: Mapping[str, DrawingTolerance], model: VehicleModel) -> None:
-    for link in drawing:
-        if link not in model.links:
-            raise UrdfError(f"masses.drawing names {link!r}; links with inertia are {', '.join(model.links)}")
-
-
 def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
     """The row of a load cell or of a joint's torque."""
     keys = cell.keys
@@ -305,13 +281,3 @@ def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:
     own = [Motor(t.joint, ((t.joint, 1.0),), t.presliding_rad) for t in torques if t.friction]
     given = vehicle.file.estimation.motor.items()
     return own + [Motor(name, tuple(motor.ratios.items()), motor.presliding_rad) for name, motor in given]
-
-
-Builder = Callable[[config.Vehicle], tuple[OnlineIdentifier, VehicleModel]]
-BUILDERS: Mapping[config.Prediction, Builder] = {
-    config.Prediction.ROWS: build_identifier,
-    config.Prediction.FREE: build_free_flyer,
-    config.Prediction.PARABOLAS: build_parabolas,
-    config.Prediction.PLANAR: build_table,
-    config.Prediction.PIVOT: build_pivot,
-}

@@ -1,15 +1,32 @@
 """The rigid-body model under an estimator, and how many samples of a channel make a tick."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from onboard import config
 from onboard.config.vehicle import LinkSection
-from onboard.dynamics.model.errors import UrdfError
+from onboard.dynamics.model.errors import ModelError, UrdfError
 from onboard.dynamics.model.inertia import RigidBody, symmetric
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.estimation.errors import EstimationError
 from onboard.flight.estimate.readings.roles import roles_of
+
+
+@contextmanager
+def naming_the_file(vehicle: config.Vehicle) -> Iterator[None]:
+    """Errors of a model or an estimator as those of the vehicle file.
+
+    Raises:
+        ConfigError: in place of a ModelError or an EstimationError.
+    """
+    try:
+        yield
+    except (ModelError, EstimationError) as error:
+        raise config.ConfigError(f"{vehicle.label}: {error}") from error
 
 
 def build_model(vehicle: config.Vehicle) -> VehicleModel:

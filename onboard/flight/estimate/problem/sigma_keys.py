@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pydantic import BaseModel
+
 from onboard.identification.free_flyer.prediction.further import (
     OF_FRICTION,
     Further,
@@ -16,6 +18,11 @@ _OF_JOINTS = {"zero": "zero_rad", "scale": "scale", "delay": "delay_s"} | {
     f"place_{axis}": "position_m" for axis in "xyz"
 }
 _OF_CELLS = {"scale": "scale_sigma", "bias": "zero_sigma_N", "drift": "zero_drift_N_s", "delay_s": "delay_sigma_ms"}
+
+
+def key_in(table: str, section: type[BaseModel], unknown: str) -> str:
+    """``drag`` in ``[pivot]``: ``pivot.drag_sigma_N_m_s``; empty where the section states no sigma of it."""
+    return next((f"{table}.{key}" for key in section.model_fields if key.startswith(f"{unknown}_sigma")), "")
 
 
 class SigmaKeys(NamedTuple):

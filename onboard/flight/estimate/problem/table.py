@@ -3,7 +3,7 @@
 from onboard import config
 from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.flight.estimate.problem.model import build_model, samples_per_tick
+from onboard.flight.estimate.problem.model import build_model, naming_the_file, samples_per_tick
 from onboard.flight.estimate.problem.priors import check_joints, check_springs, check_thrusters, free_flyer_prior
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.identification.table.run import TableRun
@@ -17,15 +17,13 @@ def build_table(vehicle: config.Vehicle) -> tuple[TableRun, VehicleModel]:
     """
     roles = roles_of(vehicle)
     samples_per_tick(vehicle)
-    try:
+    with naming_the_file(vehicle):
         model = build_model(vehicle)
         check_joints(roles, model)
         check_thrusters(roles)
         check_springs(vehicle, "not on a table")
         model.pose_in_base(roles.imu.frame)
         free_flyer_prior(vehicle, model)
-    except ModelError as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     for index, puck in enumerate(vehicle.file.planar.puck if vehicle.file.planar else ()):
         try:
             model.pose_in_base(puck.frame)

@@ -4,8 +4,8 @@ import numpy as np
 
 from onboard import config
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.problem.identification import build_pivot
 from onboard.flight.estimate.problem.model import samples_per_tick
+from onboard.flight.estimate.problem.pivot import build_pivot
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.before.foresee.plan import Foreseen, MotionPlan, expected
 from onboard.identification.free_flyer.prediction.ticks import Ticks

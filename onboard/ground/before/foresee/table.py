@@ -25,7 +25,7 @@ from onboard.ground.identify.kinds.likelihood_log import LONGEST_S, body_answers
 from onboard.ground.identify.kinds.table_log import table_prior, ticks_together, underway
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.standing import Level
-from onboard.identification.table.air_bearing import table_fit
+from onboard.identification.table.air_bearing import TableFit
 from onboard.identification.table.joints import bound
 
 
@@ -62,7 +62,7 @@ def foresee_table(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     ).coarser(ticks_together(vehicle))
     prior = table_prior(vehicle) if first == 0 else underway(table_prior(vehicle))
     prior = prior._replace(geometry=geometry_prior(vehicle, model))
-    motion_fit = table_fit(model, roles.imu.frame, flight, payload_sigma, links, prior, payload)
+    motion_fit = TableFit(model, roles.imu.frame, flight, payload_sigma, links, prior, payload)
     start = np.array([plan.velocity_m_s[0], plan.velocity_m_s[1], plan.rate_rad_s[2]])
     x = motion_fit.parameters(start, payload)
     drags = {name: k for k, name in enumerate(motion_fit.names) if name.startswith(("Fv_", "Fc_"))}

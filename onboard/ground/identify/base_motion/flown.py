@@ -15,15 +15,13 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray
-from onboard.flight.estimate.answers import change_of
-from onboard.flight.estimate.estimation import SUFFIX
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.base_motion.fit import BaseRate, fit
-from onboard.ground.identify.kinds.likelihood_log import runs_of
+from onboard.ground.identify.kinds.likelihood_log import answer_in, runs_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.ground.log.tables.source import Interleaved
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.ticks import Ticks
@@ -31,8 +29,6 @@ from onboard.identification.windows import SHORTEST
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
-
-_EVENTS = "event" + SUFFIX
 
 
 class UnbrokenRun(NamedTuple):
@@ -71,22 +67,19 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     """
     model, roles = build_model(vehicle), roles_of(vehicle)
     if not model.spec.base.floats:
-        raise config.ConfigError(
-            f'{vehicle.label}: base = "{model.spec.base}"; only of a floating base is a motion predicted'
-        )
+        text = f'base = "{model.spec.base}"; only of a floating base is a motion predicted'
+        raise config.ConfigError(f"{vehicle.label}: {text}")
     if not roles.imus or not model.joints:
         raise config.ConfigError(f"{vehicle.label}: an IMU and a joint are needed to predict and compare a motion")
     settings = vehicle.file.estimation
     recorder = _Recorder(model, model.pose_in_base(roles.imu.frame)[0], means=settings.how.tick_means)
-    estimator = Estimator(vehicle, recorder)
-    for _ in feed(estimator, log, AT_ONCE_s):
-        pass
+    estimator = fed(Estimator(vehicle, recorder), log, AT_ONCE_s)
     ticks, attached = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
     known = np.isfinite(ticks.measured[:, :3]).all(axis=1)
     ticks.q[~known] = np.nan  # a run ends where the gyro has a gap
     period_s = 1.0 / settings.row_rate_hz
     if settings.predicts and model.spec.base.falls:
-        changes, held = _recorded_changes(log), settings.exiddm.held_at_start or settings.carried is not None
+        changes, held = answer_in(log).changes, settings.exiddm.held_at_start or settings.carried is not None
     else:
         changes, held = _edges(ticks.time_s, attached), bool(attached.size and attached[0])
     runs = runs_of(ticks, changes, held, period_s)
@@ -103,31 +96,12 @@ def flown(vehicle: config.Vehicle, log: LogReader, longest_s: float) -> Unbroken
     return UnbrokenRun(model, period_s, time_s, part.q, part.dq, part.measured[:, :3], payload_held)
 
 
-def _recorded_changes(log: LogReader) -> list[Change]:
-    """Changes of the payload that the onboard estimator reported."""
-    found = (
-        [] if _EVENTS not in log.channels else [change_of(row) for _, rows in log.batches([_EVENTS]) for row in rows]
-    )
-    return sorted((change for change in found if change is not None), key=lambda change: change.time_s)
-
-
 def _edges(time_s: FloatArray, attached: BoolArray) -> list[Change]:
     """Changes of the payload by the mission's phases."""
     at = np.flatnonzero(np.diff(attached)) + 1
     return [
         Change("capture" if attached[k] else "ejection", float(time_s[k - 1]), float(time_s[k]), np.nan) for k in at
     ]
-
-
-def payload_in(log: LogReader) -> FloatArray | None:
-    """Standard parameters of the payload by the last onboard estimate, (10,); None where the log has none."""
-    found: FloatArray | None = None
-    if "estimate" in log.channels:
-        for _, rows in log.batches(["estimate"]):
-            if rows["mean"].shape[1:] == (10,):
-                known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
-                found = np.array(rows["mean"][known][-1], np.float64) if known.any() else found
-    return found
 
 
 class Predicted(NamedTuple):
@@ -221,7 +195,7 @@ def _parameters(run: UnbrokenRun, log: LogReader, urdf: Path | None, *, drawn: b
         if other.links != model.links:
             raise SignalError(f"{urdf} has links {', '.join(other.links)}; the vehicle has {', '.join(model.links)}")
         chi, whose = other.chi.copy(), f"of {urdf.name}"
-    elif not drawn and run.held and (identified := payload_in(log)) is not None:
+    elif not drawn and run.held and (identified := answer_in(log).payload) is not None:
         chi[payload] = identified
         whose = "as drawn, payload by the onboard estimate"
     if not run.held:

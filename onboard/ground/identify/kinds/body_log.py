@@ -2,22 +2,21 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 from scipy.special import stdtrit
 
 from drivers.records import Rows, SampleStatus
 from onboard import config
-from onboard.devices.recorded import ThrusterKeys
-from onboard.dynamics.model.errors import ModelError
+from onboard.devices.recorded import ThrusterKeys, thrusters_among, tracked_among
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import FARTHEST_SIZE, HALF, INTERVAL, LIKELY_SIZE, MOST_CONTRADICTED, contradicted_text
 from onboard.flight.estimate.answers import useful_of
-from onboard.flight.estimate.body import body_model, key_of, thrusters_of, tracker_of
-from onboard.flight.estimate.problem.model import build_model
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.flight.estimate.body import body_model, key_of
+from onboard.flight.estimate.problem.model import build_model, naming_the_file
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
 from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
@@ -26,7 +25,7 @@ from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
-from onboard.identification.verdict import Evidence, standings_of, verdict
+from onboard.identification.verdict import Evidence
 from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
@@ -43,21 +42,16 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ConfigError: the vehicle file does not fit the URDF.
         ChannelError: commands or poses that cannot be used.
     """
-    try:
-        poses, valves, known_s, unknown, lost, moved = _recorded(vehicle, log)
+    with naming_the_file(vehicle):
+        poses, valves, lost, moved = _recorded(vehicle, log)
         model = body_model(vehicle, build_model(vehicle), valves)
-    except ModelError as error:
-        raise config.ConfigError(f"{vehicle.label}: {error}") from error
     names = (*model.names[:BODY], "delay")
     refused = {"jumped_and_back": lost} if lost else {}
     fit, failure = None, contradicted_text(lost / len(poses.time_s), "poses", "the tracker loses the body")
     if not failure:
-        fit, failure = _fitted(model, poses, known_s, unknown)
+        fit, failure = _fitted(model, poses)
     if fit is None:
-        nothing = Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure)
-        return Identified(
-            log.path, config.PREDICTING.name, (), len(poses.time_s), refused, log.damage, verdict(nothing)
-        )
+        return judged(log, Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure))
     (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
     findings = findings._replace(doubts=(*findings.doubts, *moved))
     evidence = Evidence(
@@ -69,31 +63,24 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
-    known = log.path, config.PREDICTING.name, answers, fit.found.rows, refused, log.damage, verdict(evidence)
-    return Identified(*known, misfit=max(fit.found.by_sensor[:2]), budget=budget, standings=standings_of(evidence))
+    return judged(log, evidence, answers, misfit=max(fit.found.by_sensor[:2]), budget=budget)
 
 
-def _recorded(
-    vehicle: config.Vehicle, log: LogReader
-) -> tuple[TrackedPoses, dict[str, Valve], tuple[float, float], list[tuple[float, float]], int, tuple[str, ...]]:
-    """Poses, valves by thruster, from when to when these are known, and when they are not in between.
-
-    Then how many poses jump and come back, which are left out, and words for each jump that stays.
-    """
-    name, tracker = tracker_of(vehicle)
-    rows = [_usable(log.read(f"{name}_{of}")) for of in ("x", "y", "yaw")]
-    common = rows[0]["host_ns"]
-    for one in rows[1:]:
-        common = np.intersect1d(common, one["host_ns"])
+def _recorded(vehicle: config.Vehicle, log: LogReader) -> tuple[TrackedPoses, dict[str, Valve], int, tuple[str, ...]]:
+    """Poses, valves by thruster, how many poses jump and come back, which are left out, and words for other jumps."""
+    name, tracker = tracked_among(vehicle.file.device)
+    units = {"x": b"m", "y": b"m", "yaw": b"rad"}
+    rows = [_usable(log.read(f"{name}_{of}")) for of in units]
+    common = reduce(np.intersect1d, [one["host_ns"] for one in rows])
     if len(common) < 2:
         raise ChannelError(
             f"{log.path}: {name} has no poses of x, y and yaw at the same times; give them the same clock"
         )
     start_ns = int(common[0])
     values = []
-    for one, of, units in zip(rows, ("x", "y", "yaw"), ((b"m",), (b"m",), (b"rad",)), strict=True):
-        if (unit := one["unit"][0]) not in units:
-            raise ChannelError(f"{log.path}: {name}_{of} is in {unit.decode()!r}; it needs {units[0].decode()!r}")
+    for one, (of, unit) in zip(rows, units.items(), strict=True):
+        if (read := one["unit"][0]) != unit:
+            raise ChannelError(f"{log.path}: {name}_{of} is in {read.decode()!r}; it needs {unit.decode()!r}")
         values.append((one["value_raw"] * one["scale"])[np.isin(one["host_ns"], common)])
     time_s, measured = 1e-9 * (common - start_ns).astype(np.float64), np.stack(values, axis=1)
     noise = np.array([tracker.position_noise_m, tracker.position_noise_m, tracker.yaw_noise_rad])
@@ -105,7 +92,7 @@ def _recorded(
     )
     poses = _fresh(time_s, measured) if not tracker.repeats else TrackedPoses(time_s, measured)
     valves, begin_s, end_s, unknown = dict[str, Valve](), -np.inf, np.inf, [(a, b) for a, b, _ in found.moved]
-    for thruster, own in thrusters_of(vehicle).items():
+    for thruster, own in thrusters_among(vehicle.file.device).items():
         commands = _usable(log.read(thruster))
         if not len(commands):
             raise ChannelError(f"{log.path}: {thruster} has no commands; leave it out if it never pushed")
@@ -115,7 +102,8 @@ def _recorded(
         if own.reads == "level":
             missed = np.flatnonzero(np.diff(time_s) > PAUSE * 1e-3 * own.period_ms)
             unknown += [(float(time_s[k]), float(time_s[k + 1])) for k in missed]
-    return poses, valves, (begin_s, end_s), unknown, found.lost, moved
+    poses = poses._replace(known_s=(begin_s, end_s), unknown=tuple(unknown))
+    return poses, valves, found.lost, moved
 
 
 def _fresh(time_s: FloatArray, measured: FloatArray) -> TrackedPoses:
@@ -186,7 +174,7 @@ def _answers(
     effects = causes.effects(scale[:, None] * found.fit.covariance[at])
     leans = causes.said(effects, scale * sigma, np.abs(values))
     told = sigma <= SUPPORTED_SHRINKAGE * model.sigma[at]
-    if vehicle.file.body is not None and vehicle.file.body.mass_sigma is not None:
+    if model.weighed:
         told[0] = bool(np.isfinite(sigma[0]))  # stated; what is found of it cannot be less known
     units = ("kg", "m", "m", "kg m^2", "s", "m/s^2", "m/s^2")
     bound = scale * np.sqrt(np.diag(P)[at])
@@ -196,9 +184,7 @@ def _answers(
     return tuple(answers), dict(zip(names, causes.budget(effects, scale * sigma), strict=True))
 
 
-def _fitted(
-    model: BodyModel, poses: TrackedPoses, known_s: tuple[float, float], unknown: list[tuple[float, float]]
-) -> tuple[BodyFit | None, str]:
+def _fitted(model: BodyModel, poses: TrackedPoses) -> tuple[BodyFit | None, str]:
     """The fit as stated; or as what the recording is to be read so that nothing refuses it, if that leaves much less.
 
     A first guess of a recording as stated may leave more than one of another reading. Where the first steps of the fits
@@ -206,24 +192,24 @@ def _fitted(
     """
     begun = None
     with suppress(EstimationError):  # said by the fit
-        begun = model.begun(poses, known_s, unknown)
+        begun = model.begun(poses)
 
     @cache
     def as_stated() -> BodyFit | EstimationError:
         try:
-            return model.fit(poses, known_s, unknown, begun)
+            return model.fit(poses, begun)
         except EstimationError as error:
             return error
 
     with suppress(EstimationError):  # of poses: said by the fit
-        for other in others(model, poses, known_s, unknown):
+        for other in others(model, poses):
             with suppress(EstimationError):
-                first = other.model.begun(other.poses, known_s, unknown)
+                first = other.model.begun(other.poses)
                 if begun is not None and begun.fit.residual_sum < first.fit.residual_sum:
                     fit = as_stated()
                     if isinstance(fit, BodyFit) and not _findings(model, fit).against:
                         return fit, ""
-                if not _findings(other.model, other.model.fit(other.poses, known_s, unknown, first)).against:
+                if not _findings(other.model, other.model.fit(other.poses, first)).against:
                     said = " and ".join(other.said)
                     return None, f"the poses are as predicted if {said}: correct the mapping, or the URDF"
     fit = as_stated()

@@ -8,7 +8,9 @@ the log. A log without one, or whose fit fails a test from there, is run through
 the fit starts from its state.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,20 +18,18 @@ import numpy as np
 
 from onboard import config
 from onboard.dynamics.model.errors import ModelError, SignalError
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError, EstimationError
 from onboard.estimation.gates import named_refusals
 from onboard.estimation.policy import MOSTLY
-from onboard.flight.estimate.answers import change_of, instrument_of, useful_of
-from onboard.flight.estimate.estimation import SUFFIX
+from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.free_flyer.before_capture import ANNOUNCED_s, BeforeCapture, Payload, Zeros, before_capture
 from onboard.identification.free_flyer.misread import mistaken
@@ -39,10 +39,9 @@ from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Tick
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Changed, Segment, in_windows, pushed
-from onboard.identification.whole_flight.witnesses import Tested, fitted, without_each
+from onboard.identification.whole_flight.witnesses import Tested, fitted
 from onboard.identification.windows import SHORTEST, STAGES_s
 from onboard.recording.reader import LogReader
-from onboard.regressor.signals import EncoderJump
 
 _FLEXIBLE = "it does not know flexible joints, the filter on board does; see heft replay"
 _TO_CHECK = (  # of a recording by other software
@@ -51,7 +50,6 @@ _TO_CHECK = (  # of a recording by other software
 
 
 _ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
-_EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
 class _Onboard(NamedTuple):
@@ -71,46 +69,36 @@ def identify_free_flyer(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ChannelError: a log of another vehicle.
     """
     online, model = build_free_flyer(vehicle, tracked=False)
-    payload = str(model.spec.payload_link)
-    recorder = JumpRecorder(payload, len(model.joints), online.further)
-    estimator = Estimator(vehicle, recorder)
-    for _ in feed(estimator, log, AT_ONCE_s):
-        pass
-    flight = _Flight(vehicle, online, Ticks.joined(recorder.ticks), np.concatenate(recorder.attached), recorder.jumps)
-    refused = named_refusals(recorder.refused)
-
-    def phase_at(time_s: float) -> int:
-        return int(estimator.phase_at(np.array([round(1e9 * time_s)], np.int64))[0])
-
-    return flight.identified(log, payload, refused, phase_at)
+    recorder = JumpRecorder(str(model.spec.payload_link), len(model.joints), online.further)
+    return _Flight(log, online, recorder, fed(Estimator(vehicle, recorder), log, AT_ONCE_s)).identified()
 
 
 class _Flight:
-    """The ticks of a flight, and the fits of them."""
+    """The ticks of a flight, and the fits of them.
 
-    def __init__(
-        self,
-        vehicle: config.Vehicle,
-        online: MotionIdentifier,
-        ticks: Ticks,
-        attached: BoolArray,
-        jumps: Sequence[tuple[str, EncoderJump]] = (),
-    ) -> None:
-        settings, predictor = vehicle.file.estimation, online.ekf.predictor
+    Args:
+        log: of it.
+        online: a fresh estimator.
+        recorder: of all ticks.
+        estimator: that has made these.
+    """
+
+    def __init__(self, log: LogReader, online: MotionIdentifier, recorder: JumpRecorder, estimator: Estimator) -> None:
+        vehicle, predictor, jumps = estimator.vehicle, online.ekf.predictor, recorder.jumps
+        settings = vehicle.file.estimation
+        ticks, self._attached = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
         self._jumps, times_s = jumps, [1e-9 * jump.vehicle_ns for _, jump in jumps]
         self._jumped = [(at_s, JumpedJoint(predictor, *one).changed) for at_s, one in zip(times_s, jumps, strict=True)]
         self._jumped_at: list[int] = np.searchsorted(ticks.time_s, times_s).tolist()
-        self._online, self._ticks, self._attached = online, ticks, attached
-        self._period_s, self._useful = 1.0 / settings.row_rate_hz, useful_of(vehicle)
+        self._vehicle, self._online, self._ticks, self._estimator = vehicle, online, ticks, estimator
+        self._period_s = 1.0 / settings.row_rate_hz
         self._held = settings.exiddm.held_at_start or settings.carried is not None
-        self._recorded = vehicle.is_recorded
-        self._smoothing_s = 1e-3 * settings.smoothing_ms
+        payload, refused = str(vehicle.file.vehicle.payload_link), named_refusals(recorder.refused)
+        self._kept = likelihood_log.Kept(log, payload, ticks, self._period_s, refused, useful_of(vehicle))
 
-    def identified(
-        self, log: LogReader, payload: str, refused: dict[str, int], phase_at: Callable[[float], int]
-    ) -> Identified:
+    def identified(self) -> Identified:
         """Estimates and verdict of the flight."""
-        kept = likelihood_log.Kept(log, payload, self._ticks, self._period_s, refused, {}, self._useful)
+        kept = self._kept
         seen = int(np.isfinite(self._ticks.measured).sum())
         if self._online.ekf.predictor.bends.size:
             return likelihood_log.no_answer(kept, seen, f"the fit failed: {_FLEXIBLE}")
@@ -118,15 +106,15 @@ class _Flight:
             return likelihood_log.no_answer(kept, seen, mistaken, misread=True)
         failure, held_s = "", 0.0
         best: Tested | None = None
-        for known in self._starts(log):
-            segments = self._segments(known.changes)
-            if not any(one.held for one in segments):
-                failure, held_s = "", max(held_s, self._held_s(known.changes))
+        for known in self._starts():
+            segments, longest_s = self._segments(known.changes)
+            if not segments:
+                failure, held_s = "", max(held_s, longest_s)
                 continue
             try:
-                found, agrees = self._fitted_whole_or_in_windows(known, segments, phase_at)
+                found, agrees = self._fitted_whole_or_in_windows(known, segments)
             except (EstimationError, ModelError) as error:
-                failure = f"the fit failed: {error}{_TO_CHECK * self._recorded}"
+                failure = f"the fit failed: {error}{_TO_CHECK * self._vehicle.is_recorded}"
                 continue
             if best is None or found.found.misfit < best.found.misfit:
                 best = found
@@ -136,20 +124,20 @@ class _Flight:
             needed = f"{SHORTEST * self._period_s:g} s are needed"
             why = f"as a payload was held for {held_s:.2g} s, {needed}" if held_s else "while nothing was held"
             idle = {} if failure else {why: seen}
-            return likelihood_log.no_answer(kept._replace(idle=idle), seen if failure else 0, failure)
+            return likelihood_log.no_answer(kept, seen if failure else 0, failure, idle=idle)
         if best.found.glitches:
-            refused = {**refused, "residual": refused.get("residual", 0) + best.found.glitches}
-        said = likelihood_log.identified_of(
-            kept._replace(refused=refused), fitted_of(best, self._period_s, self._online.row_names)
-        )
-        return said.with_before(self._before(best))
+            residual = kept.refused.get("residual", 0) + best.found.glitches
+            kept = kept._replace(refused={**kept.refused, "residual": residual})
+        checked = likelihood_log.fitted_of(best, self._period_s, self._online.row_names)
+        return replace(likelihood_log.identified_of(kept, checked), before=self._before(best))
 
     def _misread(self) -> str:
         """As what a recording of somebody else is to be read so that a payload explains it; empty: as stated."""
-        if not self._recorded or not self._held or not self._attached.all():
+        if not self._vehicle.is_recorded or not self._held or not self._attached.all():
             return ""
         ticks = self._ticks.part(slice(round(likelihood_log.LONGEST_S / self._period_s)))
-        return mistaken(self._online.ekf.predictor, ticks, self._period_s, self._smoothing_s)
+        smoothing_s = 1e-3 * self._vehicle.file.estimation.smoothing_ms
+        return mistaken(self._online.ekf.predictor, ticks, self._period_s, smoothing_s)
 
     def _before(self, made: Tested) -> BeforeCapture | None:
         """How the payload moved before it was captured; None where it was not, or what is needed is missing."""
@@ -171,26 +159,21 @@ class _Flight:
         except SignalError:
             return None
 
-    def _fitted_whole_or_in_windows(
-        self, known: _Onboard, segments: Sequence[Segment], phase_at: Callable[[float], int]
-    ) -> tuple[Tested, bool]:
+    def _phase_at(self, time_s: float) -> int:
+        return int(self._estimator.phase_at(np.array([round(1e9 * time_s)], np.int64))[0])
+
+    def _fitted_whole_or_in_windows(self, known: _Onboard, segments: Sequence[Segment]) -> tuple[Tested, bool]:
         """As :meth:`_fitted`; in windows where something may push, or where no fit of whole segments converges."""
         parts, pushes = pushed(self._online.ekf.predictor, segments)
         changed = sorted([*self._jumped, *pushes], key=lambda one: one[0])
         try:
-            return self._fitted(known, parts, changed, phase_at)
+            return self._fitted(known, parts, changed)
         except ConvergenceError:
             if pushes:
                 raise
-            return self._fitted(known, in_windows(segments, self._period_s), changed, phase_at)
+            return self._fitted(known, in_windows(segments, self._period_s), changed)
 
-    def _fitted(
-        self,
-        known: _Onboard,
-        segments: Sequence[Segment],
-        changed: Sequence[Changed],
-        phase_at: Callable[[float], int],
-    ) -> tuple[Tested, bool]:
+    def _fitted(self, known: _Onboard, segments: Sequence[Segment], changed: Sequence[Changed]) -> tuple[Tested, bool]:
         """The fit with all instruments but those that contradict the others, its tests, and whether it passes them.
 
         ``changed``: errors that are others from some times on; no segment has ticks of before and after.
@@ -213,15 +196,19 @@ class _Flight:
             made, flight = None, without()
             start = flight.start(known.constants)
             try:
-                made = fitted(flight, start, known.stages_s, phase_at)
+                made = fitted(flight, start, known.stages_s, self._phase_at)
                 start = flight.start(made.found.fit.x[: flight.constants])
             except (EstimationError, ModelError) as error:
                 failure = error
             if made is not None and made.passes:
                 break
         if (made is None or not made.passes) and len(flight.devices) > 1 and not excluded:
-            fits = without_each(without, flight.devices, start, phase_at)
-            passing = [(device, found) for device, found in fits if found.passes]
+            passing = list[tuple[int, Tested]]()
+            for device in flight.devices:
+                with suppress(EstimationError, ModelError):
+                    found = fitted(without(device), start, STAGES_s, self._phase_at)
+                    if found.passes:
+                        passing.append((device, found))
             if len(passing) == 1:
                 excluded, made = {passing[0][0]}, passing[0][1]
             elif passing and made is not None:
@@ -246,31 +233,31 @@ class _Flight:
         others = [shares[at] for at in range(1, len(predictor.imu_frames))]
         return shares if max(others, default=0.0) >= MOSTLY else {at: share for at, share in shares.items() if at}
 
-    def _segments(self, changes: Sequence[Change]) -> list[Segment]:
-        """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most."""
+    def _segments(self, changes: Sequence[Change]) -> tuple[list[Segment], float]:
+        """Segments with nothing held and those of the payload held the longest, ``LONGEST_S`` of each at most.
+
+        None where no payload was held for long enough; then, for how long one was, s.
+        """
         runs = likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s)
         held = likelihood_log.held_ticks(runs)
-        if not held or max(held.values()) < SHORTEST:
-            return []
+        most = max(held.values(), default=0)
+        if most < SHORTEST:
+            return [], self._period_s * most
         longest = max(held, key=lambda payload: held[payload])
         runs = self._without_pauses(runs, longest)
         chosen = [*self._some(runs, longest), *self._some(runs, 0)]
         found = list[Segment]()
-        for run in sorted(chosen, key=_begin):
+        for run in sorted(chosen, key=lambda run: run.ticks.start):
             first, last = run.ticks.start, run.ticks.stop
             edges = sorted({first, *(at for at in self._jumped_at if first < at < last), last})
             found += [Segment(self._ticks.part(slice(*ends)), run.payload > 0) for ends in pairwise(edges)]
-        return found
-
-    def _held_s(self, changes: Sequence[Change]) -> float:
-        """For how long the payload was held that was held the longest; zero where none was."""
-        held = likelihood_log.held_ticks(likelihood_log.runs_of(self._ticks, changes, self._held, self._period_s))
-        return self._period_s * max(held.values(), default=0)
+        return found, self._period_s * most
 
     def _without_pauses(self, runs: Sequence[likelihood_log.TickRun], payload: int) -> list[likelihood_log.TickRun]:
         """Runs with no pause of ``LONGEST_S`` between them and the longest one of a payload: biases drift meanwhile."""
         longest = max((run for run in runs if run.payload == payload), key=lambda run: run.ticks.stop - run.ticks.start)
-        begins, ends = (self._ticks.time_s[[at(run) for run in runs]] for at in (_begin, _end))
+        begins = self._ticks.time_s[[run.ticks.start for run in runs]]
+        ends = self._ticks.time_s[[run.ticks.stop - 1 for run in runs]]
         stretch = np.concatenate([[0], np.cumsum(begins[1:] - ends[:-1] > likelihood_log.LONGEST_S)])
         return [run for run, own in zip(runs, stretch, strict=True) if own == stretch[runs.index(longest)]]
 
@@ -283,32 +270,13 @@ class _Flight:
                 left -= ticks.stop - ticks.start
         return found
 
-    def _starts(self, log: LogReader) -> Iterator[_Onboard]:
+    def _starts(self) -> Iterator[_Onboard]:
         """Where a fit can begin: the onboard answer in the log, and what the recursive estimator says now."""
-        in_log = self._in_log(log)
-        if in_log is not None:
-            yield in_log
+        said = likelihood_log.answer_in(self._kept.log)
+        if said.payload is not None:
+            rest = np.zeros(len(self._online.ekf.predictor.names) - PAYLOAD.stop)
+            yield _Onboard(said.changes, np.concatenate([said.payload, rest]), (), said.left_out)
         yield self._again()
-
-    def _in_log(self, log: LogReader) -> _Onboard | None:
-        """The onboard answer that the log has; None without one."""
-        changes: list[Change] = []
-        mean, left_out = np.zeros(10), set[str]()
-        for name, rows in log.batches([name for name in ("estimate", _EVENTS) if name in log.channels]):
-            if name == _EVENTS:
-                for row in rows:
-                    if (change := change_of(row)) is not None:
-                        changes.append(change)
-                    elif (instrument := instrument_of(row)) is not None:
-                        (left_out.add if instrument.kind == "left_out" else left_out.discard)(instrument.what)
-            elif rows["mean"].shape[1:] == (10,):
-                known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
-                mean = rows["mean"][known][-1] if known.any() else mean
-        if not mean[0] > 0.0:
-            return None
-        rest = np.zeros(len(self._online.ekf.predictor.names) - PAYLOAD.stop)
-        changes.sort(key=lambda change: change.time_s)
-        return _Onboard(changes, np.concatenate([mean, rest]), (), frozenset(left_out))
 
     def _again(self) -> _Onboard:
         """What the recursive estimator makes of the ticks."""
@@ -330,11 +298,3 @@ class _Flight:
         known = state[RATE.stop] > 0.0
         left_out = frozenset(ekf.fusion.contradicting)
         return _Onboard(list(ekf.changes), state[RATE.stop :].copy(), () if known else STAGES_s, left_out)
-
-
-def _begin(run: likelihood_log.TickRun) -> int:
-    return int(run.ticks.start)
-
-
-def _end(run: likelihood_log.TickRun) -> int:
-    return int(run.ticks.stop) - 1

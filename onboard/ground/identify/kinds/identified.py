@@ -1,13 +1,16 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from onboard import config
 from onboard.dynamics.model.inertia import elements
 from onboard.dynamics.model.vehicle import STANDARD
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.policy import HALF
 from onboard.ground.identify.kinds.residuals import LeftOver, Residuals
 from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.free_flyer.before_capture import BeforeCapture
@@ -19,7 +22,8 @@ from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.useful import Useful, sizes
-from onboard.identification.verdict import Verdict
+from onboard.identification.verdict import Evidence, Verdict, standings_of, verdict
+from onboard.recording.reader import LogReader
 
 
 class IdentifiedQuantity(NamedTuple):
@@ -46,6 +50,20 @@ class IdentifiedQuantity(NamedTuple):
     def outer(self) -> tuple[float, float]:
         """Ends of its 99.9 % interval."""
         return outer_of(self.value, self.low, self.high) if self.own_outer is None else self.own_outer
+
+
+def answers_of(
+    names: Sequence[str],
+    units: Sequence[str],
+    values: FloatArray,
+    sigma: FloatArray,
+    supported: BoolArray,
+    bound: FloatArray,
+) -> tuple[IdentifiedQuantity, ...]:
+    """Quantities by their sigmas, each array (n,); their intervals are those of normals."""
+    half = HALF * sigma
+    numbers = (of.tolist() for of in (values, sigma, values - half, values + half, supported, bound))
+    return tuple(IdentifiedQuantity(*one) for one in zip(names, units, *numbers, strict=True))
 
 
 def standings(answers: Iterable[IdentifiedQuantity], useful: Useful) -> dict[str, Standing]:
@@ -101,18 +119,6 @@ class Identified:
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
     misread: bool = False  # the mapping of the recording has a mistake, which the verdict names
 
-    def only(self, links: Collection[str]) -> "Identified":
-        """The same with the estimates of these links alone."""
-        return replace(self, links=tuple(one for one in self.links if one.link in links))
-
-    def with_before(self, before: BeforeCapture | None) -> "Identified":
-        """The same with the motion of the payload before it was captured."""
-        return replace(self, before=before)
-
-    def with_runs(self, runs: tuple[RunAnswer, ...]) -> "Identified":
-        """The same with the runs from which it was pooled."""
-        return replace(self, runs=runs)
-
     def standing(self, answer: IdentifiedQuantity) -> Standing:
         """Level of one of its answers, and why."""
         own = self.standings.get(answer.name, Standing(Level.WEAK, "not determined by the data"))
@@ -157,6 +163,18 @@ class Identified:
             **({} if self.before is None else {"before_capture": _before(self.before)}),
             **({"runs": [run.as_json() for run in self.runs]} if self.runs else {}),
         }
+
+
+def judged(
+    log: LogReader,
+    evidence: Evidence,
+    answers: tuple[IdentifiedQuantity, ...] = (),
+    method: str = config.PREDICTING.name,
+    **more: Any,
+) -> Identified:
+    """Result for a log with the verdict on its evidence; ``more``: further fields."""
+    known = log.path, method, answers, evidence.rows_used, dict(evidence.refused), log.damage, verdict(evidence)
+    return Identified(*known, held_out=evidence.held_out, standings=standings_of(evidence), **more)
 
 
 def _before(one: BeforeCapture) -> dict[str, Any]:

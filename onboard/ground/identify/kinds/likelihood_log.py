@@ -1,42 +1,44 @@
 """Maximum likelihood fit of a log, with its verdict: choice of ticks, estimates, evidence.
 
-:func:`identified` fits the longest interval with one payload (an air-bearing table); the payload of each half of the
-ticks predicts the other half (:func:`onboard.identification.free_flyer.batch.held_out`). A free flight is fitted as a
-whole (:mod:`onboard.ground.identify.kinds.free_flyer_log`), with the same estimates and evidence.
+Common to a free flight that is fitted as a whole (:mod:`onboard.ground.identify.kinds.free_flyer_log`), to parabolas
+(:mod:`onboard.ground.identify.kinds.parabolic_log`) and to a run on a table
+(:mod:`onboard.ground.identify.kinds.table_log`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard import config
-from onboard.dynamics.model.errors import ModelError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import BodyEstimate
-from onboard.estimation.arrays import FloatArray, gaps
+from onboard.estimation.arrays import FloatArray, finite, gaps
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import HALF, contradicted_text
+from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.rls import Observability
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.flight.estimate.answers import INSTRUMENTS, change_of
+from onboard.flight.estimate.estimation import SUFFIX
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, answers_of, judged, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
-from onboard.identification.corrections import contradicted
-from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_out
+from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
-from onboard.identification.table.air_bearing import TableFit
-from onboard.identification.table.rivals import answered
 from onboard.identification.useful import Useful
-from onboard.identification.verdict import Evidence, standings_of, verdict
-from onboard.identification.windows import SHORTEST
+from onboard.identification.verdict import TOO_SHORT, Evidence
+from onboard.identification.whole_flight.parts import halves
+from onboard.identification.whole_flight.stated import bound_of, leans_on
+from onboard.identification.whole_flight.witnesses import Tested
 from onboard.recording.reader import LogReader
 
 LONGEST_S = 60.0  # of flight that is fitted as a whole
+_EVENTS = "event" + SUFFIX  # of the estimator, in a log
 
 
 class Kept(NamedTuple):
@@ -47,15 +49,7 @@ class Kept(NamedTuple):
     ticks: Ticks  # the longest time that one payload was held
     period_s: float  # between ticks
     refused: Mapping[str, int]  # rows by reason
-    idle: Mapping[str, int]  # rows not fitted for another reason
     useful: Useful
-
-
-class BaseResult(NamedTuple):
-    """Result specific to a kind of base, besides the payload."""
-
-    answers: tuple[IdentifiedQuantity, ...] = ()
-    reason: str = ""  # reason for refusing the fit; empty if none
 
 
 class CheckedFit(NamedTuple):
@@ -72,55 +66,11 @@ class CheckedFit(NamedTuple):
     halves: HeldOut | None
     unchecked: str  # why nothing is held out, where it is not
     residuals: Residuals  # by axis of the base IMU
-    judged: BaseResult = BaseResult()
+    further: tuple[IdentifiedQuantity, ...] = ()  # answers besides the payload
+    reason: str = ""  # for refusing it; empty if none
     findings: Findings = Findings()
     leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
     outer: FloatArray | None = None  # (2, 10) ends of their 99.9 % intervals about them, variances not yet wider
-
-
-Build = Callable[[Ticks, bool], TableFit]  # the estimator of ticks; whether their first is the first of all
-Judge = Callable[[PayloadFit, float], BaseResult]  # what else a fit says, its variances so much wider
-
-
-def identified(kept: Kept, build: Build, judge: Judge) -> Identified:
-    """Estimates and verdict of a log's longest interval with one payload.
-
-    Args:
-        kept: its ticks.
-        build: makes the estimator of some of them.
-        judge: what the kind of base says of the fit.
-    """
-    ticks = kept.ticks
-    seen = np.asarray(np.isfinite(ticks.measured).all(axis=1), np.bool_)
-    used = 6 * int(seen.sum())
-    if len(ticks.time_s) < SHORTEST or not used:
-        return no_answer(kept, 0)
-    try:
-        motion_fit = build(ticks, True)
-        found = motion_fit.fit()
-        corrected, stated, joints, of_encoders = answered(motion_fit, found)
-    except (EstimationError, ModelError) as error:
-        return no_answer(kept, used, f"the fit failed: {error}")
-    wider = max(1.0, stated.misfit)  # the residual is not below the noise
-    judged = judge(corrected, wider)
-    halves, unchecked, middle = None, Evidence._field_defaults["unchecked"], len(ticks.time_s) // 2
-    if not (seen[:middle].any() and seen[middle:].any()):
-        unchecked = half_too_short("of which the IMU has no reading")
-    elif not judged.reason and middle >= SHORTEST:
-        try:
-            earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
-            halves = held_out(motion_fit, earlier, later, found)
-        except (EstimationError, ModelError) as error:
-            unchecked = half_too_short(error)
-    corrections = _corrections(motion_fit, corrected, kept.payload) | joints.in_stated_sigmas
-    bound = np.sqrt(np.diag(stated.payload.covariance))
-    numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
-    together = round(motion_fit.period_s / kept.period_s)
-    time_s = ticks.time_s[(together - 1) // 2 :: together][: motion_fit.ticks]
-    left = by_axis(time_s, motion_fit.residuals_by_tick(found.fit.x), motion_fit.period_s)
-    findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
-    fit = CheckedFit(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left, judged, findings)
-    return identified_of(kept, fit)
 
 
 def half_too_short(error: Exception | str) -> str:
@@ -128,19 +78,58 @@ def half_too_short(error: Exception | str) -> str:
     return f"not checked on motion that was not used: half of the run determines too little ({error})"
 
 
-def no_answer(kept: Kept, used: int, failure: str = "", *, misread: bool = False) -> Identified:
-    """A log without an estimate: rows used, and why the fit failed where it did, or was not tried."""
-    log, nothing = kept.log, dict.fromkeys(_names(kept), False)
-    refused = dict(kept.refused) if used else {**kept.refused, **kept.idle}
-    evidence = Evidence(used, refused, nothing, None, failure=failure)
-    return Identified(
-        log.path, config.PREDICTING.name, (), used, dict(kept.refused), log.damage, verdict(evidence), misread=misread
+def no_answer(
+    kept: Kept, used: int, failure: str = "", *, misread: bool = False, idle: Mapping[str, int] = MappingProxyType({})
+) -> Identified:
+    """A log without an estimate: rows used, and why the fit failed where it did, or was not tried.
+
+    Args:
+        kept: of it.
+        used: rows.
+        failure: why; empty where none was fitted.
+        misread: the recording's mapping has a mistake.
+        idle: rows not fitted for another reason.
+    """
+    nothing = dict.fromkeys(_names(kept), False)
+    evidence = Evidence(used, {**kept.refused, **idle}, nothing, None, failure=failure)
+    return replace(judged(kept.log, evidence, misread=misread), refused=dict(kept.refused))
+
+
+def fitted_of(made: Tested, period_s: float, row_names: Sequence[str]) -> CheckedFit:
+    """A fit, its tests as they were within the stated sigmas, and the prediction of its halves.
+
+    Args:
+        made: the fit.
+        period_s: between ticks.
+        row_names: of the lines.
+    """
+    flight, found = made.flight, made.found
+    held_out, unchecked = None, TOO_SHORT
+    try:
+        held_out = halves(flight, found)
+    except EstimationError as error:
+        unchecked = half_too_short(error)
+    return CheckedFit(
+        found.payload,
+        found.chi,
+        found.chi_covariance,
+        bound_of(flight, found),
+        sum(block.rows for block in found.blocks),
+        found.misfit,
+        max(1.0, found.misfit, *found.by_instrument.values()),
+        made.corrections,
+        held_out,
+        unchecked,
+        by_axis(flight.time_s, found.residuals, period_s, row_names[6:]),
+        findings=made.findings.plus(doubts=doubtful(made.of_bodies, "sigmas of what the flight tells of it")),
+        leans=leans_on(flight, found),
+        outer=found.outer,
     )
 
 
 def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     """Estimates and verdict of a fit."""
-    log, names, judged = kept.log, _names(kept), found.judged
+    names = _names(kept)
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
     of_payload = body_answers(names, *body, found.wider, found.bound)
@@ -151,8 +140,8 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
             one._replace(own_outer=(one.value + low, one.value + high))
             for one, (low, high) in zip(of_payload, ends, strict=True)
         )
-    answers = (*of_payload, *judged.answers)
-    if judged.reason:
+    answers = (*of_payload, *found.further)
+    if found.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
     residual = kept.refused.get("residual", 0)
     contradicted = contradicted_text(residual / max(found.rows_used + residual, 1))
@@ -161,7 +150,7 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
         kept.refused,
         {answer.name: answer.supported for answer in answers},
         found.halves,
-        failure=judged.reason,
+        failure=found.reason,
         away={link.link: link.away},
         misfit=found.misfit,
         findings=found.findings.plus([contradicted] if contradicted else []),
@@ -169,35 +158,13 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
         corrections=found.corrections,
         unchecked=found.unchecked,
     )
-    return Identified(
-        log.path,
-        config.PREDICTING.name,
-        answers,
-        found.rows_used,
-        dict(kept.refused),
-        log.damage,
-        verdict(evidence),
-        held_out=found.halves,
-        misfit=found.misfit,
-        observability=observed_directions(body_seen(body), names),
-        links=(link,),
-        standings=standings_of(evidence),
-        residuals=found.residuals,
-    )
+    seen = observed_directions(body_seen(body), names)
+    made = judged(kept.log, evidence, answers, misfit=found.misfit, observability=seen)
+    return replace(made, links=(link,), residuals=found.residuals)
 
 
 def _names(kept: Kept) -> tuple[str, ...]:
     return tuple(f"{name}_{kept.payload}" for name in BODY)
-
-
-def _corrections(motion_fit: MotionFit, found: PayloadFit, payload: str) -> dict[str, float]:
-    """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
-    stated = motion_fit.layout.sigma
-    return {
-        name: float(x / sigma)
-        for name, x, sigma in zip(found.names, found.fit.x, stated, strict=True)
-        if sigma > 0.0 and not name.endswith(f"_{payload}")
-    }
 
 
 def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, period_s: float) -> Ticks:
@@ -213,6 +180,30 @@ def longest_held(parts: Sequence[Ticks], changes: Sequence[Change], held: bool, 
     runs = [run for run in runs_of(ticks, changes, held, period_s) if run.payload > 0]
     longest = max((run.ticks for run in runs), key=lambda run: run.stop - run.start, default=slice(0, 0))
     return ticks.part(slice(longest.start, min(longest.stop, longest.start + round(LONGEST_S / period_s))))
+
+
+class AnswerInLog(NamedTuple):
+    """What the onboard estimator said in a log."""
+
+    changes: list[Change]  # of the payload
+    payload: FloatArray | None  # (10,) its last standard parameters; None where the log has none
+    left_out: frozenset[str]  # instruments that it did without at the end
+
+
+def answer_in(log: LogReader) -> AnswerInLog:
+    """The onboard answer that a log has."""
+    changes, payload, left_out = list[Change](), None, set[str]()
+    for name, rows in log.batches([name for name in ("estimate", _EVENTS) if name in log.channels]):
+        if name == _EVENTS:
+            changes += filter(None, map(change_of, rows))
+        elif rows["mean"].shape[1:] == (10,):
+            known = np.isfinite(rows["mean"]).all(axis=1) & (rows["mean"][:, 0] > 0.0)
+            payload = np.array(rows["mean"][known][-1], np.float64) if known.any() else payload
+    for change in changes:
+        if change.kind in INSTRUMENTS:
+            (left_out.add if change.kind == "left_out" else left_out.discard)(change.what)
+    of_payload = [change for change in changes if change.kind not in INSTRUMENTS]
+    return AnswerInLog(sorted(of_payload, key=lambda change: change.time_s), payload, frozenset(left_out))
 
 
 class TickRun(NamedTuple):
@@ -245,7 +236,7 @@ def runs_of(ticks: Ticks, changes: Sequence[Change], held: bool, period_s: float
             numbers = {"capture": count, "ejection": 0, "instrument": unknown}
             numbers |= {"capture_contradicted": 0, "release_contradicted": before}
             before, number = number, numbers.get(change.kind, number)
-    which[~np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)] = unknown
+    which[~finite([ticks.q, ticks.dq, ticks.ddq])] = unknown
     joined = (np.diff(which) == 0) & ~gaps(ticks.time_s, period_s)
     edges = [0, *(np.flatnonzero(~joined) + 1), len(which)]
     return [TickRun(slice(a, b), int(which[a])) for a, b in pairwise(edges) if b > a and which[a] != unknown]
@@ -274,17 +265,8 @@ def body_answers(
     """
     values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     sigma = np.sqrt(wider * np.diag(covariance))
-    half = HALF * sigma
-    fine = sigma <= SUPPORTED_SHRINKAGE * _size(body)
-    return tuple(
-        IdentifiedQuantity(*fields)
-        for fields in zip(
-            names,
-            BODY_UNITS,
-            *(x.tolist() for x in (values, sigma, values - half, values + half, fine, bound)),
-            strict=True,
-        )
-    )
+    fine = np.asarray(sigma <= SUPPORTED_SHRINKAGE * _size(body), np.bool_)
+    return answers_of(names, BODY_UNITS, values, sigma, fine, bound)
 
 
 def _size(body: RigidBody) -> FloatArray:

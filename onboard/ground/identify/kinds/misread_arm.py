@@ -5,6 +5,7 @@ parameters, which cost as much as the vehicle file says that they are known (rid
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +14,14 @@ from onboard import config
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_identifier
+from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.misread import JointReading, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.identification.standing import Level
-from onboard.identification.verdict import Verdict
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 from onboard.regressor.rows import RowModel, standing
@@ -37,10 +38,11 @@ class ArmReading(NamedTuple):
     held_before: bool = False  # the payload is held in the recording that is said to be without it
 
 
-def with_mistake(vehicle: config.Vehicle, log: LogReader, judged: Verdict) -> Verdict:
-    """A verdict; where it is *do not use*, with what :func:`misread_arm` says as its first reason."""
+def with_mistake(vehicle: config.Vehicle, log: LogReader, found: Identified) -> Identified:
+    """A result; where it is *do not use*, with what :func:`misread_arm` says as the first reason of its verdict."""
+    judged = found.verdict
     said = misread_arm(vehicle, log) if judged.level is Level.DO_NOT_USE else ""
-    return judged._replace(reasons=(said, *judged.reasons)) if said else judged
+    return replace(found, verdict=judged._replace(reasons=(said, *judged.reasons))) if said else found
 
 
 def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
@@ -57,8 +59,7 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     if [row.friction_joint for row in rows.rows] != joints:
         return ""
     recorder = TickRecorder("payload", len(joints), rows=tuple(row.name for row in rows.rows))
-    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
-        pass
+    fed(Estimator(vehicle, recorder), log, AT_ONCE_s)
     ticks, held = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)
     whole = np.flatnonzero(finite([ticks.q, ticks.dq, ticks.ddq, ticks.measured]))
     some = whole[:: max(1, len(whole) // MOST_TICKS)]
@@ -76,9 +77,8 @@ def misread_arm(vehicle: config.Vehicle, log: LogReader) -> str:
     best, best_way = min(ways, key=lambda one: one[0])
     if best >= least:
         return ""
-    said = best_way.said
     what = "merge them in their order" if best_way.held_before else "correct the mapping, or the URDF"
-    return f"much less would be left over if {said}: {what}"
+    return f"much less would be left over if {best_way.said}: {what}"
 
 
 class _ArmRecording:

@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from onboard.config.bases.parabola import Parabola
-from onboard.estimation.arrays import BoolArray, FloatArray, gaps
+from onboard.estimation.arrays import BoolArray, FloatArray, finite, gaps
 from onboard.estimation.free_fall import CUBIC_s, WINDOW_s, is_free
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s, Ticks
 from onboard.identification.windows import SHORTEST
@@ -35,13 +35,6 @@ class Stage(StrEnum):
     MOTION = "motion"
 
 
-class TickSpan(NamedTuple):
-    """Time from a tick to another one, s."""
-
-    begin_s: float
-    end_s: float
-
-
 @dataclass(frozen=True)
 class ParabolaRun:
     """A release by hand with what follows, or a parabola without one."""
@@ -51,7 +44,7 @@ class ParabolaRun:
     release_s: float = float("nan")
     catch_s: float = float("nan")
     bumps_s: tuple[float, ...] = ()  # middle of each
-    motions: tuple[TickSpan, ...] = ()
+    motions_s: tuple[tuple[float, float], ...] = ()  # begin and end of each
     reason: str = ""  # why nothing can be fitted; empty if it can
 
     def as_json(self) -> dict[str, Any]:
@@ -61,14 +54,14 @@ class ParabolaRun:
             "release_s": None if np.isnan(self.release_s) else self.release_s,
             "catch_s": None if np.isnan(self.catch_s) else self.catch_s,
             "bumps_s": list(self.bumps_s),
-            "motions_s": [list(motion) for motion in self.motions],
+            "motions_s": [list(motion) for motion in self.motions_s],
         }
 
 
 def stages(ticks: Ticks, period_s: float, settings: Parabola) -> list[Stage]:
     """State at each tick; bumps and catches are distinguished by :func:`cut`."""
     low, free = _low(ticks.measured[:, 3:6], period_s, settings.low_m_s2), _free(ticks, period_s, settings)
-    moving = _moving(ticks.dq)
+    moving = np.any(np.nan_to_num(np.abs(ticks.dq)) > RESTS_rad_s, axis=1)
     found, stage = [], Stage.SECURED
     for is_low, is_free_, moves in zip(low.tolist(), free.tolist(), moving.tolist(), strict=True):
         if not is_low:
@@ -92,7 +85,7 @@ def cut(ticks: Ticks, period_s: float, settings: Parabola) -> list[ParabolaRun]:
         settings: of the vehicle file.
     """
     at = np.array(stages(ticks, period_s, settings))
-    joints = np.isfinite(np.concatenate([ticks.q, ticks.dq, ticks.ddq], axis=1)).all(axis=1)
+    joints = finite([ticks.q, ticks.dq, ticks.ddq])
     found: list[ParabolaRun] = []
     bump_s = settings.settle_s + CUBIC_s + WINDOW_s  # of a contact, with what is not free beside it
     fall = [one for one in _spans(at != Stage.SECURED) if (one.stop - one.start) * period_s >= settings.shortest_s]
@@ -121,10 +114,12 @@ def _run(
     time_s, margin = ticks.time_s, round(settings.settle_s / period_s)
     release_s, catch_s = float(time_s[parts[0].start]), float(time_s[parts[-1].stop - 1])
     bumps = tuple(float(0.5 * (time_s[a.stop - 1] + time_s[b.start])) for a, b in pairwise(parts))
-    moving = (at == Stage.MOTION) & _within(len(at), parts)
+    moving, inside = np.zeros((2, len(at)), np.bool_)
+    for one in parts:
+        moving[one] = at[one] == Stage.MOTION
+        inside[one.start + margin : one.stop - margin] = True
     motions = _motions(moving, time_s)
-    inside = [slice(one.start + margin, one.stop - margin) for one in parts]
-    whole = [piece for one in inside for piece in _where(joints, one) if piece.stop - piece.start > 2 * margin]
+    whole = [piece for piece in _spans(joints & inside) if piece.stop - piece.start > 2 * margin]
     reason = ""
     if sum(one.stop - one.start for one in whole) * period_s < settings.shortest_s:
         reason = f"free for {catch_s - release_s:.1f} s only"
@@ -152,12 +147,8 @@ def _free(ticks: Ticks, period_s: float, settings: Parabola) -> BoolArray:
     return found
 
 
-def _moving(dq: FloatArray) -> BoolArray:
-    return np.asarray((np.nan_to_num(np.abs(dq)) > RESTS_rad_s).any(axis=1), np.bool_)
-
-
-def _motions(moving: BoolArray, time_s: FloatArray) -> tuple[TickSpan, ...]:
-    """Motions; a pause between strokes belongs to one."""
+def _motions(moving: BoolArray, time_s: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Begin and end of motions; a pause between strokes belongs to one."""
     found: list[slice] = []
     for one in _spans(moving):
         if found and one.start - found[-1].stop < SHORTEST:
@@ -165,18 +156,7 @@ def _motions(moving: BoolArray, time_s: FloatArray) -> tuple[TickSpan, ...]:
         else:
             found.append(one)
     long = [one for one in found if one.stop - one.start >= SHORTEST]
-    return tuple(TickSpan(float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
-
-
-def _within(count: int, parts: Sequence[slice]) -> BoolArray:
-    found = np.zeros(count, np.bool_)
-    for one in parts:
-        found[one] = True
-    return found
-
-
-def _where(true: BoolArray, within: slice) -> list[slice]:
-    return [slice(one.start + within.start, one.stop + within.start) for one in _spans(true[within])]
+    return tuple((float(time_s[one.start]), float(time_s[one.stop - 1])) for one in long)
 
 
 def _spans(true: Any) -> list[slice]:

@@ -6,8 +6,8 @@ also those that determine too little by themselves; a run whose payload differs 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,17 +20,15 @@ from onboard.estimation.policy import MISFIT_REFUSED, REFUSE, of_each
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_free_flyer
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, RunAnswer
-from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, identified_of, no_answer
+from onboard.ground.identify.kinds.identified import Identified, RunAnswer
+from onboard.ground.identify.kinds.likelihood_log import CheckedFit, Kept, fitted_of, identified_of, no_answer
 from onboard.ground.identify.kinds.parabolas import ParabolaRun, cut
-from onboard.ground.identify.kinds.tested_fit import fitted_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.corrections import misfit_texts
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import BODY, Findings
-from onboard.identification.standing import Level
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool, Pooled
 from onboard.identification.whole_flight.segments import Segment
@@ -52,11 +50,6 @@ class _Flown:
     refused: str = ""
 
 
-class _Kit(NamedTuple):
-    online: MotionIdentifier
-    kept: Kept
-
-
 def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     """Estimate of the payload that was held in all runs of a log.
 
@@ -70,29 +63,27 @@ def identify_parabolas(vehicle: config.Vehicle, log: LogReader) -> Identified:
     online, model = build_free_flyer(vehicle, tracked=False)
     payload = str(model.spec.payload_link)
     recorder = TickRecorder(payload, len(model.joints), online.further)
-    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
-        pass
+    fed(Estimator(vehicle, recorder), log, AT_ONCE_s)
     ticks, period_s = Ticks.joined(recorder.ticks), 1.0 / vehicle.file.estimation.row_rate_hz
     refused = named_refusals(recorder.refused)
-    kit = _Kit(online, Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)))
+    kept = Kept(log, payload, ticks, period_s, refused, useful_of(vehicle))
     runs = cut(ticks, period_s, settings)
-    flown = [_Flown(run, _flight(kit, run)) for run in runs if not run.reason]
-    _each(kit, flown)
-    found, names = _together(kit, flown)
+    flown = [_Flown(run, _flight(online, ticks, run)) for run in runs if not run.reason]
+    _each(online, kept, flown)
+    found = _together(kept, flown)
     begin_s = float(ticks.time_s[0]) if len(ticks.time_s) else 0.0
     by_run = {id(one.run): one for one in flown}
-    return found.with_runs(tuple(_said(kit, run, by_run.get(id(run)), names, begin_s) for run in runs))
+    return replace(found, runs=tuple(_said(payload, run, by_run.get(id(run)), found, begin_s) for run in runs))
 
 
-def _flight(kit: _Kit, run: ParabolaRun) -> WholeFlight:
-    ekf = kit.online.ekf
-    segments = [Segment(kit.kept.ticks.part(part), held=True) for part in run.parts]
-    return WholeFlight(ekf.predictor, ekf.payload_sigma, segments)
+def _flight(online: MotionIdentifier, ticks: Ticks, run: ParabolaRun) -> WholeFlight:
+    segments = [Segment(ticks.part(part), held=True) for part in run.parts]
+    return WholeFlight(online.ekf.predictor, online.ekf.payload_sigma, segments)
 
 
-def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
+def _each(online: MotionIdentifier, kept: Kept, flown: Sequence[_Flown]) -> None:
     """Fit and test every run by itself, the liveliest first: the others start from what it found."""
-    constants = np.zeros(len(kit.online.ekf.predictor.names) - 3)
+    constants = np.zeros(len(online.ekf.predictor.names) - 3)
     constants[0] = _GUESS_kg
     known = False
     for one in sorted(flown, key=lambda one: -_liveliness(one.flight)):
@@ -103,7 +94,7 @@ def _each(kit: _Kit, flown: Sequence[_Flown]) -> None:
             one.flight.free(())
             continue  # it may still count for something beside the others
         one.start = made.found.fit.x
-        one.said = identified_of(kit.kept, fitted_of(made, kit.kept.period_s, kit.online.row_names))
+        one.said = identified_of(kept, fitted_of(made, kept.period_s, online.row_names))
         one.refused = "; ".join(_against(made))
         if not one.refused and not known:
             constants, known = made.found.fit.x[: len(constants)].copy(), True
@@ -121,52 +112,42 @@ def _against(made: Tested) -> tuple[str, ...]:
     return (*against, f"{misfit:.1f} times the noise is left over") if misfit > MISFIT_REFUSED else against
 
 
-def _together(kit: _Kit, flown: Sequence[_Flown]) -> tuple[Identified, tuple[str, ...]]:
-    """The estimate of all runs that agree, and the names of the common parameters."""
-    seen = int(np.isfinite(kit.kept.ticks.measured).sum())
+def _together(kept: Kept, flown: Sequence[_Flown]) -> Identified:
+    """The estimate of all runs that agree."""
+    seen = int(np.isfinite(kept.ticks.measured).sum())
     known = [one for one in flown if one.start is not None and not one.refused]
     if not known:
         why = "no run between release and catch could be used" if flown else "nothing was let go, or the arm rested"
-        return no_answer(kit.kept, seen, why), ()
+        return no_answer(kept, seen, why)
     best = max(known, key=lambda one: _liveliness(one.flight))
     agreeing = [one for one in flown if not one.refused]
     while True:
         try:
-            pool, found = _pooled(agreeing, best)
+            found = _pooled(agreeing, best)
         except (EstimationError, ModelError) as error:
             if len(agreeing) == len(known):
-                return no_answer(kit.kept, seen, f"the fit of all runs failed: {error}"), ()
+                return no_answer(kept, seen, f"the fit of all runs failed: {error}")
             agreeing = known  # without those that have no fit of their own
             continue
         worst = min(range(len(agreeing)), key=lambda k: found.disagreements[k].chance)
         test = found.disagreements[worst]
         if len(agreeing) < 3 or test.chance > of_each(REFUSE, len(agreeing)):
             break
-        agreeing[
-            worst
-        ].refused = f"it tells another payload than the others (chi-squared {test.squares:.0f} of {test.freedom})"
+        agreeing[worst].refused = test.text("it", "the others")
         agreeing = [one for one in agreeing if not one.refused]
         best = best if not best.refused else max(agreeing, key=lambda one: _liveliness(one.flight))
     doubts = [] if len(agreeing) > 1 else ["it is a single run"]
     if test.chance < of_each(REFUSE, len(agreeing)):
         doubts.append("the runs contradict each other, and nothing tells which is wrong")
-    return identified_of(kit.kept, _fitted(found, tuple(doubts))), pool.names
+    return identified_of(kept, _fitted(found, tuple(doubts)))
 
 
-def _pooled(flown: Sequence[_Flown], best: _Flown) -> tuple[Pool, Pooled]:
+def _pooled(flown: Sequence[_Flown], best: _Flown) -> Pooled:
     """All runs in one fit, from the constants of the best one."""
-    pool = Pool([one.flight for one in flown])
     assert best.start is not None
-    common = dict(zip(best.flight.names, best.start.tolist(), strict=True))
-    starts = []
-    for one in flown:
-        if one.start is not None:
-            starts.append(one.start)
-        else:
-            starts.append(
-                one.flight.start(np.array([common[name] for name in one.flight.names[: one.flight.constants]]))
-            )
-    return pool, pool.fit(starts, np.array([common[name] for name in pool.names]))
+    constants = best.start[: best.flight.constants]
+    starts = [one.flight.start(constants) if one.start is None else one.start for one in flown]
+    return Pool([one.flight for one in flown]).fit(starts, best.start)
 
 
 def _fitted(found: Pooled, doubts: tuple[str, ...]) -> CheckedFit:
@@ -187,20 +168,18 @@ def _fitted(found: Pooled, doubts: tuple[str, ...]) -> CheckedFit:
     )
 
 
-def _said(kit: _Kit, run: ParabolaRun, flown: _Flown | None, names: tuple[str, ...], begin_s: float) -> RunAnswer:
-    """What becomes of a run."""
+def _said(payload: str, run: ParabolaRun, flown: _Flown | None, found: Identified, begin_s: float) -> RunAnswer:
+    """What becomes of a run, all together being found so."""
     cut_of = {key: _since(value, begin_s) for key, value in run.as_json().items()} | {"log_start_s": begin_s}
-    if flown is None or flown.refused:
-        reason = run.reason if flown is None else flown.refused
-        return RunAnswer(run.parabola, cut_of, "refused", reason, ())
-    answers: tuple[IdentifiedQuantity, ...] = ()
-    if flown.said is not None and flown.said.verdict.level is not Level.DO_NOT_USE:
+    refused = run.reason if flown is None else flown.refused
+    if not refused and not found.answers:
+        refused = "the runs together gave no answer"
+    if flown is None or refused:
+        return RunAnswer(run.parabola, cut_of, "refused", refused, ())
+    if flown.said is not None and flown.said.usable:
         answers = tuple(one for one in flown.said.answers if one.supported)
-    if not names:
-        return RunAnswer(run.parabola, cut_of, "refused", "the runs together gave no answer", ())
-    if answers:
         return RunAnswer(run.parabola, cut_of, "identified", "", answers)
-    missing = f"by itself it does not determine {BODY[0]}_{kit.kept.payload}; it counts beside the others"
+    missing = f"by itself it does not determine {BODY[0]}_{payload}; it counts beside the others"
     return RunAnswer(run.parabola, cut_of, "pooled", missing, ())
 
 

@@ -4,11 +4,11 @@ from onboard import config
 from onboard.estimation.gates import named_refusals
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
 from onboard.ground.identify.kinds.residuals import by_axis
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.replay.feed import fed
 from onboard.identification.pivot.online import PivotRun
-from onboard.identification.verdict import Evidence, standings_of, verdict
+from onboard.identification.verdict import Evidence
 from onboard.recording.reader import LogReader
 
 
@@ -23,17 +23,15 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
     run = estimator.online
     assert isinstance(run, PivotRun)
     run.wait()
-    for _ in feed(estimator, log):
-        pass
+    fed(estimator, log)
     told, bounds = run.estimate().quantities, run.bounds()
     answers = tuple(
         IdentifiedQuantity(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
         for one, bound in zip(told, bounds.tolist(), strict=True)
     )
-    refused = named_refusals(run.refused)
     evidence = Evidence(
         run.rows_used,
-        refused,
+        named_refusals(run.refused),
         {one.name: one.supported for one in answers},
         None,
         failure=f"the fit failed: {run.failure}" if run.failure else "",
@@ -43,6 +41,4 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
     )
     misfit = None if run.found is None else max(run.found.by_sensor)
     residuals = {} if run.found is None else by_axis(*run.residuals(), 1.0 / vehicle.file.estimation.row_rate_hz)
-    known = log.path, config.PREDICTING.name, answers, run.rows_used, refused, log.damage, verdict(evidence)
-    made = run.budget()
-    return Identified(*known, misfit=misfit, budget=made, standings=standings_of(evidence), residuals=residuals)
+    return judged(log, evidence, answers, misfit=misfit, budget=run.budget(), residuals=residuals)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.rows.identifier import Identifier
 
 MOST = 60_000  # rows that are kept: the first
 Residuals = dict[str, FloatArray]  # by series, (ticks,) in sigmas; NaN where none was used
@@ -74,13 +73,6 @@ class KeptRows:
                 series[at[rank == k]] = values[rank == k]
                 found[name if not rank.any() else f"{name} {k + 1}"] = series
         return found
-
-
-def keep_rows(who: Identifier) -> KeptRows:
-    """Have ``who``, which has taken in nothing yet, keep its rows."""
-    kept = KeptRows(who.seen.instruments)
-    who.seen.listener = kept.keep
-    return kept
 
 
 def by_axis(time_s: FloatArray, left: FloatArray, period_s: float, further: Sequence[str] = ()) -> Residuals:

@@ -1,18 +1,19 @@
 """``heft identify`` of a run on an air-bearing table: payload and drag of each puck by maximum likelihood.
 
 The onboard estimator makes the ticks; the longest interval with the payload in the identification phases is then fitted
-in one batch (:mod:`onboard.ground.identify.kinds.likelihood_log`). Payload and drag of each half predict the other
-half, with velocity and tilt at its first tick re-estimated.
+in one batch. Payload and drag of each half predict the other half
+(:func:`onboard.identification.free_flyer.batch.held_out`), with velocity and tilt at its first tick re-estimated.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from onboard import config
+from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import BoolArray, finite
+from onboard.estimation.errors import EstimationError
 from onboard.estimation.gates import GateReason, ReasonArray, named_refusals
-from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import uncorrelated_s
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
@@ -21,14 +22,26 @@ from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_pr
 from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity
-from onboard.ground.identify.kinds.likelihood_log import BaseResult, Kept, identified, longest_held
+from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, answers_of
+from onboard.ground.identify.kinds.likelihood_log import (
+    CheckedFit,
+    Kept,
+    half_too_short,
+    identified_of,
+    longest_held,
+    no_answer,
+)
+from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed
-from onboard.identification.free_flyer.batch import PayloadFit
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
+from onboard.identification.corrections import contradicted
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_out
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.table import air_bearing, floating_base
+from onboard.identification.table.rivals import answered
+from onboard.identification.verdict import TOO_SHORT
+from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
 
@@ -65,13 +78,9 @@ def identify_table(vehicle: config.Vehicle, log: LogReader) -> Identified:
     at_start = table_prior(vehicle)._replace(geometry=geometry_prior(vehicle, model))
     payload = str(model.spec.payload_link)
     recorder = PlanarTickRecorder(payload, len(model.joints))
-    for _ in feed(Estimator(vehicle, recorder), log, AT_ONCE_s):
-        pass
-    period_s, samples, frame = (
-        1.0 / vehicle.file.estimation.row_rate_hz,
-        samples_per_tick(vehicle),
-        roles_of(vehicle).imu.frame,
-    )
+    fed(Estimator(vehicle, recorder), log, AT_ONCE_s)
+    period_s, samples = 1.0 / vehicle.file.estimation.row_rate_hz, samples_per_tick(vehicle)
+    frame = roles_of(vehicle).imu.frame
     links, _, payload_sigma = free_flyer_prior(vehicle, model)
     refused = named_refusals(recorder.refused)
     ticks = longest_held(recorder.ticks, (), held=True, period_s=period_s)
@@ -79,12 +88,64 @@ def identify_table(vehicle: config.Vehicle, log: LogReader) -> Identified:
 
     def build(some: Ticks, first: bool) -> air_bearing.TableFit:
         prior, run = at_start if first and let_go else underway(at_start), some.flight(period_s, samples)
-        return air_bearing.table_fit(model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior)
+        return air_bearing.TableFit(model, frame, run.coarser(ticks_together(vehicle)), payload_sigma, links, prior)
 
-    def judge(found: PayloadFit, wider: float) -> BaseResult:
-        return _drags(found, at_start.pucks, wider)
+    return _identified(Kept(log, payload, ticks, period_s, refused, useful_of(vehicle)), build, at_start.pucks)
 
-    return identified(Kept(log, payload, ticks, period_s, refused, {}, useful_of(vehicle)), build, judge)
+
+def _identified(
+    kept: Kept,
+    build: Callable[[Ticks, bool], air_bearing.TableFit],
+    pucks: Mapping[str, floating_base.DragPrior],
+) -> Identified:
+    """Estimates and verdict of a log's longest interval with one payload.
+
+    Args:
+        kept: its ticks.
+        build: makes the estimator of some of them, be their first the first of all or not.
+        pucks: what is known of their drag, by frame.
+    """
+    ticks = kept.ticks
+    seen = finite([ticks.measured])
+    used = 6 * int(seen.sum())
+    if len(ticks.time_s) < SHORTEST or not used:
+        return no_answer(kept, 0)
+    try:
+        motion_fit = build(ticks, True)
+        found = motion_fit.fit()
+        corrected, stated, joints, of_encoders = answered(motion_fit, found)
+    except (EstimationError, ModelError) as error:
+        return no_answer(kept, used, f"the fit failed: {error}")
+    wider = max(1.0, stated.misfit)  # the residual is not below the noise
+    drags, reason = _drags(corrected, pucks, wider)
+    halves, unchecked, middle = None, TOO_SHORT, len(ticks.time_s) // 2
+    if not (seen[:middle].any() and seen[middle:].any()):
+        unchecked = half_too_short("of which the IMU has no reading")
+    elif not reason and middle >= SHORTEST:
+        try:
+            earlier, later = build(ticks.part(slice(0, middle)), True), build(ticks.part(slice(middle, None)), False)
+            halves = held_out(motion_fit, earlier, later, found)
+        except (EstimationError, ModelError) as error:
+            unchecked = half_too_short(error)
+    corrections = _corrections(motion_fit, corrected, kept.payload) | joints.in_stated_sigmas
+    bound = np.sqrt(np.diag(stated.payload.covariance))
+    numbers = corrected.payload, corrected.chi, corrected.chi_covariance, bound
+    together = round(motion_fit.period_s / kept.period_s)
+    time_s = ticks.time_s[(together - 1) // 2 :: together][: motion_fit.ticks]
+    left = by_axis(time_s, motion_fit.residuals_by_tick(found.fit.x), motion_fit.period_s)
+    findings = of_encoders.plus(contradicted(joints.in_told_sigmas))
+    checked = CheckedFit(*numbers, used, stated.misfit, wider, corrections, halves, unchecked, left)
+    return identified_of(kept, checked._replace(further=drags, reason=reason, findings=findings))
+
+
+def _corrections(motion_fit: MotionFit, found: PayloadFit, payload: str) -> dict[str, float]:
+    """What was fitted besides the payload, in the sigmas that were stated; nothing of what has none."""
+    stated = motion_fit.layout.sigma
+    return {
+        name: float(x / sigma)
+        for name, x, sigma in zip(found.names, found.fit.x, stated, strict=True)
+        if sigma > 0.0 and not name.endswith(f"_{payload}")
+    }
 
 
 def table_prior(vehicle: config.Vehicle) -> floating_base.AirBearingPrior:
@@ -113,14 +174,13 @@ def underway(at_start: floating_base.AirBearingPrior) -> floating_base.AirBearin
     return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
 
 
-def _drags(found: PayloadFit, pucks: Mapping[str, floating_base.DragPrior], wider: float) -> BaseResult:
-    """Drag of each puck; supported if its sigma is at most a fifth of the prior's."""
+def _drags(
+    found: PayloadFit, pucks: Mapping[str, floating_base.DragPrior], wider: float
+) -> tuple[tuple[IdentifiedQuantity, ...], str]:
+    """Drag of each puck, supported if its sigma is at most a fifth of the prior's; and why the fit is refused."""
     drag = air_bearing.drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])
     sigma = wider**0.5 * drag.sigma
-    half = HALF * sigma
-    fine = sigma <= SUPPORTED_SHRINKAGE * known
+    fine = np.asarray(sigma <= SUPPORTED_SHRINKAGE * known, np.bool_)
     units = ["N s/m", "N"] * len(pucks)
-    values = (drag.drag, sigma, drag.drag - half, drag.drag + half, fine, drag.sigma)
-    told = zip(drag.names, units, *(x.tolist() for x in values), strict=True)
-    return BaseResult(tuple(IdentifiedQuantity(*one) for one in told), drag.reason)
+    return answers_of(drag.names, units, drag.drag, sigma, fine, drag.sigma), drag.reason

@@ -6,7 +6,7 @@ re-estimated and printed as tables of the vehicle file.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -18,6 +18,7 @@ import tomli_w
 from onboard import config
 from onboard.config.bases.free_body import Carrier
 from onboard.dynamics.model.inertia import RigidBody, elements, symmetric
+from onboard.estimation.arrays import FloatArray
 from onboard.identification.corrections import contradicted
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
 from onboard.identification.rows import free_body
@@ -42,11 +43,6 @@ class Throw:
     body: RigidBody | None  # in base axes; None if not determined
     principal: free_body.PrincipalMoments | None
     whole: LinkEstimate | None = None  # carrier and load, the rotors locked
-
-    @property
-    def links(self) -> tuple[LinkEstimate, ...]:
-        """The whole as one link, where it is determined."""
-        return () if self.whole is None else (self.whole,)
 
     @property
     def error_percent(self) -> float | None:
@@ -117,33 +113,27 @@ class ThrowCalibration(NamedTuple):
 
     def as_toml(self) -> str:
         """The tables of the vehicle file; the rotors' inertia in the URDF is to be multiplied by the factor."""
-        body, sigma = self.carrier
-
-        def rounded(values: Iterable[float], digits: int) -> list[float]:
-            return [float(f"{value:.{digits}g}") for value in values]
-
-        carrier = {
-            "mass_kg": float(f"{body.mass_kg:g}"),
-            "centre_of_mass_m": rounded(body.centre_of_mass_m, 4),
-            "centre_of_mass_sigma_m": rounded(sigma[:3], 2),
-            "inertia_kg_m2": rounded(elements(body.inertia_kg_m2), 4),
-            "inertia_sigma_kg_m2": rounded(sigma[3:], 2),
-        }
+        carrier = _carrier_keys(*self.carrier)
+        carrier["mass_kg"] = float(f"{carrier['mass_kg']:g}")
+        for key in ("centre_of_mass_m", "centre_of_mass_sigma_m", "inertia_kg_m2", "inertia_sigma_kg_m2"):
+            digits = 2 if "sigma" in key else 4
+            carrier[key] = [float(f"{value:.{digits}g}") for value in carrier[key]]
         return tomli_w.dumps({"free_body": {"rotor_sigma": float(f"{self.rotor.sigma:.2g}"), "carrier": carrier}})
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
-        body, sigma = self.carrier
-        return {
-            "rotor": self.rotor._asdict(),
-            "carrier": {
-                "mass_kg": body.mass_kg,
-                "centre_of_mass_m": body.centre_of_mass_m.tolist(),
-                "centre_of_mass_sigma_m": sigma[:3].tolist(),
-                "inertia_kg_m2": elements(body.inertia_kg_m2).tolist(),
-                "inertia_sigma_kg_m2": sigma[3:].tolist(),
-            },
-        }
+        return {"rotor": self.rotor._asdict(), "carrier": _carrier_keys(*self.carrier)}
+
+
+def _carrier_keys(body: RigidBody, sigma: FloatArray) -> dict[str, Any]:
+    """Numbers of ``[free_body.carrier]``, sigmas (9,) of centre of mass and inertia."""
+    return {
+        "mass_kg": body.mass_kg,
+        "centre_of_mass_m": body.centre_of_mass_m.tolist(),
+        "centre_of_mass_sigma_m": sigma[:3].tolist(),
+        "inertia_kg_m2": elements(body.inertia_kg_m2).tolist(),
+        "inertia_sigma_kg_m2": sigma[3:].tolist(),
+    }
 
 
 def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
@@ -186,14 +176,7 @@ def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identif
     """
     whole, section = free_body.whole_body(identifier, load.mass_kg), vehicle.file.free_body
     assert section is not None
-    body, sigma = whole.body, whole.sigma.tolist()
-    carrier = Carrier(
-        mass_kg=load.mass_kg,
-        centre_of_mass_m=tuple(body.centre_of_mass_m.tolist()),
-        centre_of_mass_sigma_m=tuple(sigma[:3]),
-        inertia_kg_m2=tuple(elements(body.inertia_kg_m2).tolist()),
-        inertia_sigma_kg_m2=tuple(sigma[3:]),
-    )
+    carrier = Carrier(**_carrier_keys(whole.body, whole.sigma))
     known = vehicle.file.model_copy(update={"free_body": section.model_copy(update={"carrier": carrier})})
     return vehicle.model_copy(update={"file": known})
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from drivers import records
 from onboard.identification.windows import PAUSE
-from onboard.recording.reader import LogReader
 
 SHORT_PART, SHORT_EACH = 0.02, 2
 _MOST_PLACES = 20  # of a channel
@@ -73,20 +72,6 @@ class Account(NamedTuple):
         silent = [span._asdict() for span in self.silent]
         whole = {"accounted": self.is_whole, "unaccounted": 0 if self.is_whole else self.left}
         return {**self._asdict(), "silent": silent, **whole}
-
-
-def accounts(log: LogReader, produced: dict[str, int], start_ns: int) -> dict[str, Account]:
-    """Accounts of every channel of the devices.
-
-    Args:
-        log: what was recorded.
-        produced: samples made, by channel.
-        start_ns: CLOCK_MONOTONIC of mission time 0.
-    """
-    seen = Seen(produced, start_ns)
-    for batch in log.batches():
-        seen.see(batch)
-    return seen.accounts()
 
 
 class Seen:

@@ -30,6 +30,7 @@ from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
 Result = dict[str, Any]
+_SHOWN = dict(zip(("masses", "centres", "inertias", "parameters", "motions"), SECTIONS, strict=True))
 
 
 def last_answers(log: LogReader) -> dict[str, dict[str, Any]]:
@@ -79,25 +80,18 @@ def result(flown: Flown, flew: config.Vehicle | None = None, log: LogReader | No
         true = own_mission.true_values(vehicle, flown.truth)
         published = published_of(name) if is_published else {}
         rows = answered(vehicle, answers, true, published)
-    masses, centres, inertias, parameters, motions = (
-        [_compared(row, answers) for row in rows[section]] for section in SECTIONS
-    )
-    every = (*masses, *centres, *inertias, *parameters)
+    shown = {key: [_compared(row, answers) for row in rows[section]] for key, section in _SHOWN.items()}
+    asked = shown["masses"] if is_published else [row for key in shown if key != "motions" for row in shown[key]]
+    enough = all if is_published else any
     counted = seen.accounts()
     return {
         "vehicle": name,
         "title": published.get("title", f"{name}: rehearsed"),
         "seed": flown.truth["seed"],
         "log": str(flown.log),
-        "masses": masses,
-        "centres": centres,
-        "inertias": inertias,
-        "parameters": parameters,
-        "motions": motions,
+        **shown,
         "channels": {name: account.as_json() for name, account in counted.items()},
-        "identified": all(one["supported"] for one in masses)
-        if is_published
-        else any(one["supported"] for one in every),
+        "identified": enough(one["supported"] for one in asked),
         "accounted": all(account.is_whole for account in counted.values()),
         "accounts": accounts.render(counted),
         "events": _troubles(events, flown.troubles),
@@ -155,7 +149,7 @@ def render(table: Result) -> RenderableType:
     made.add_column("", no_wrap=True)
     for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
         made.add_column(heading, justify="right", no_wrap=True)
-    for section in ("masses", "centres", "inertias", "parameters", "motions"):
+    for section in _SHOWN:
         for row in table[section]:
             if section == "motions" and not row["supported"]:
                 continue  # said below the table
@@ -171,7 +165,7 @@ def render(table: Result) -> RenderableType:
     elif capture:
         noticed = ", ".join(f"{at_s:.2f} s" for at_s in capture["said_s"]) or "no"
         lines.append(Text(f"captured at {capture['true_s']:.2f} s, unknown to the estimator; detected: {noticed}"))
-    rows = [*table["masses"], *table["centres"], *table["inertias"], *table["parameters"], *table["motions"]]
+    rows = [row for section in _SHOWN for row in table[section]]
     leaning = [row for row in rows if published or row["shown_in"] in ("kg", "g")]  # of the others: --json, report
     for field, otherwise, those in (("standing", "not answered", rows), ("leans", "", leaning)):
         said: dict[str, list[str]] = {}

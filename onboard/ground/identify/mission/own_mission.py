@@ -11,7 +11,7 @@ import numpy as np
 
 from onboard import config
 from onboard.channels import NUMBERS
-from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements
+from onboard.dynamics.model.inertia import RigidBody, composite_functional, elements, symmetric
 from onboard.dynamics.model.payload import body_of, standard_of
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.arrays import FloatArray
@@ -142,11 +142,6 @@ def _standard(link: str, truth: Truth) -> FloatArray:
             RigidBody(own["mass_kg"], *(np.asarray(own[k]) for k in ("centre_of_mass_m", "inertia_kg_m2")))
         )
     if link == truth["payload_link"] and truth["quantities"]:
-        m, x, y, z, *inertia = (truth["quantities"][f"{key}_{link}"] for key in _PAYLOAD)
-        xx, xy, yy, xz, yz, zz = inertia
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        found += standard_of(RigidBody(m, np.array([x, y, z]), tensor))
+        mass_kg, *others = (truth["quantities"][f"{key}_{link}"] for key in BODY)
+        found += standard_of(RigidBody(mass_kg, np.array(others[:3]), symmetric(np.array(others[3:]))))
     return found
-
-
-_PAYLOAD = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")

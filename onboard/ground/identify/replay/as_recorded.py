@@ -12,7 +12,7 @@ parameters predict best, in all of these bands together, is taken.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -29,10 +29,10 @@ from onboard.estimation.smoothing import CUTS_OFF
 from onboard.estimation.stuck import StuckReadings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.ground.identify.replay.feed import AT_ONCE_s, feed, same_unit
+from onboard.ground.identify.replay.feed import AT_ONCE_s, fed, same_unit
 from onboard.identification.free_flyer.guesses import WIDEST_s
 from onboard.identification.rows.checks.prediction import predicted, reference_of
-from onboard.identification.rows.held_out import halves
+from onboard.identification.rows.held_out import Half, halves
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
@@ -46,11 +46,11 @@ a column that says by 0 and 1 whether the payload is held."""
 _WHOLE = 0.05  # by which what is a whole number may differ from it: steps in quanta, besides what is rounded; samples
 
 
-class WidthChoice(NamedTuple):
-    """A width and why."""
+class RecordedVehicle(NamedTuple):
+    """A vehicle as its recording says."""
 
     vehicle: config.Vehicle
-    said: str
+    said: tuple[str, ...]  # what differs from its file
 
 
 def with_width(vehicle: config.Vehicle, width_ms: float, rows: float = _ROWS) -> config.Vehicle:
@@ -79,7 +79,7 @@ def best_width(errors: Mapping[float, float]) -> tuple[float, str]:
     )
 
 
-def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
+def chosen(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle | None:
     """The vehicle with the width that its recording asks for; None where it cannot be determined.
 
     Args:
@@ -87,49 +87,27 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> WidthChoice | None:
         log: its recording.
     """
     slowest_s = max(signal.period_s for signal in roles_of(vehicle).signals.values())
-    by_width = dict[float, Identifier]()
-    for width_ms in WIDTHS_ms:
-        if 1e-3 * width_ms < FEWEST_SAMPLES * slowest_s:
-            continue
-        who = _identified(with_width(vehicle, width_ms, 0.5 * _ROWS), log)
-        if who is not None:
-            by_width[width_ms] = who
+    by_width = dict[float, tuple[Identifier, tuple[Half, Half]]]()
+    for width_ms in (one for one in WIDTHS_ms if 1e-3 * one >= FEWEST_SAMPLES * slowest_s):
+        estimator = Estimator(with_width(vehicle, width_ms, 0.5 * _ROWS), at_the_end=True)
+        who = fed(estimator, log, AT_ONCE_s).identifier
+        if (by_halves := halves(who.seen, who)) is not None:
+            by_width[width_ms] = who, by_halves
     if len(by_width) < 2:
         return None
-    errors = {width_ms: _error(who, list(by_width.values())) for width_ms, who in by_width.items()}
+    errors = {width_ms: _error(own, by_width.values()) for width_ms, (_, own) in by_width.items()}
     best_ms, said = best_width(errors)
-    return WidthChoice(with_width(vehicle, best_ms), said)
+    return RecordedVehicle(with_width(vehicle, best_ms), (said,))
 
 
-def _identified(vehicle: config.Vehicle, log: LogReader) -> Identifier | None:
-    """The estimator after the log; None where its rows cannot be halved."""
-    estimator = Estimator(vehicle, at_the_end=True)
-    for _ in feed(estimator, log, AT_ONCE_s):
-        pass
-    return estimator.identifier if halves(estimator.identifier.seen, estimator.identifier) is not None else None
-
-
-def _error(who: Identifier, others: list[Identifier]) -> float:
+def _error(own: tuple[Half, Half], bands: Iterable[tuple[Identifier, tuple[Half, Half]]]) -> float:
     """Geometric mean over all bands of what parameters of one half leave of the other half."""
-    by_halves = halves(who.seen, who)
-    assert by_halves is not None
-    left = list[float]()
-    for other in others:
-        rows = halves(other.seen, other)
-        assert rows is not None
-        left += [_left(half.normal, mine.mean, other) for half, mine in zip(rows[::-1], by_halves, strict=True)]
+    left = [
+        predicted(half.normal, mine.mean, reference_of(who.model, who.base, half.normal)).relative_error
+        for who, rows in bands
+        for half, mine in zip(rows[::-1], own, strict=True)
+    ]
     return float(np.exp(np.mean(np.log(left))))
-
-
-def _left(normal: FloatArray, mean: FloatArray, other: Identifier) -> float:
-    return predicted(normal, mean, reference_of(other.model, other.base, normal)).relative_error
-
-
-class RecordedVehicle(NamedTuple):
-    """A vehicle as its recording says."""
-
-    vehicle: config.Vehicle
-    said: tuple[str, ...]  # what differs from its file
 
 
 def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
@@ -173,7 +151,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
     found_so_far = vehicle.model_copy(update={"file": file})
     if free or thrown or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
-    return RecordedVehicle(choice.vehicle, (*said, choice.said))
+    return RecordedVehicle(choice.vehicle, (*said, *choice.said))
 
 
 def _ticks(devices: Mapping[str, object], rate_Hz: float, *, whole: bool) -> float:

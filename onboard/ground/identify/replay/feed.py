@@ -21,7 +21,7 @@ from onboard.recording.reader import LogReader
 
 AT_ONCE_s = 1.0
 """Of the log's time, in a step, where only its ticks or rows are asked for: a quarter of the time of 50 ms."""
-_LONGEST_PAUSE_NS = 10_000_000_000  # of all channels together, that is gone through step by step
+_LONGEST_PAUSE_NS = 10_000_000_000  # of a pause of all channels, at each of its ends, that is gone through step by step
 _SPREAD = 50  # samples between those whose times are compared: some arrive in groups
 _FEWEST_ROWS = 2 * _SPREAD
 
@@ -58,12 +58,6 @@ def check_units(vehicle: config.Vehicle, log: LogReader) -> None:
                 f"{log.path}: samples of {name} are in {read or 'no unit'} where the vehicle file takes {taken}; "
                 f"correct the unit in the mapping, or the device{by_gain}"
             )
-
-
-def _pause_ns(source: Interleaved, now_ns: int) -> int:
-    """How long nothing was recorded from a time on, less ``_LONGEST_PAUSE_NS`` on both sides; 0 for short pauses."""
-    next_ns = source.next_ns
-    return 0 if next_ns is None else max(0, next_ns - now_ns - 2 * _LONGEST_PAUSE_NS)
 
 
 def same_unit(ratio: float) -> bool:
@@ -122,10 +116,18 @@ def feed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> I
     yield from estimator.process(now_ns, {})
     while not source.done:
         now_ns += step_ns
-        skipped_ns = _pause_ns(source, now_ns)
+        next_ns = now_ns if source.next_ns is None else source.next_ns
+        skipped_ns = max(0, next_ns - now_ns - 2 * _LONGEST_PAUSE_NS)
         now_ns += skipped_ns
         yield from estimator.process(now_ns, source.take(now_ns), None, skipped_ns)
     yield from estimator.process(now_ns, {}, 0)
+
+
+def fed(estimator: Estimator, log: LogReader, step_s: float | None = None) -> Estimator:
+    """The estimator after all of a log: see :func:`feed`."""
+    for _ in feed(estimator, log, step_s):
+        pass
+    return estimator
 
 
 def feed_rows(estimator: Estimator, log: LogReader) -> Iterator[Batch]:

@@ -20,7 +20,7 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.replay.replay import Pass, steps
 from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.vehicle_file import require_kinds, vehicle_of
-from onboard.ground.log.views.summary import LogOverview, count_gates, summary
+from onboard.ground.log.views.summary import LogOverview, count_gates, plain_table, summary
 from onboard.recording.format.texts import printable
 from onboard.recording.reader import LogReader
 
@@ -68,7 +68,8 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     log = LogReader(path)
     with TemporaryDirectory() as directory:
         flown = vehicle_of(log, Path(directory))
-        vehicle = _with(flown, settings)
+        over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
+        vehicle = config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
         if vehicle.channels != flown.channels:
             raise config.ConfigError(
                 f"{settings} changes the devices' channels, which a flight that is over cannot; change [estimation], "
@@ -90,11 +91,6 @@ def reestimate(path: Path, settings: Path, progress: Progress | None = None) -> 
     said = summary(log)
     said.clocks = {}
     return Reestimate(tuple(_changes(flown, vehicle)), said, now, short, log.damage)
-
-
-def _with(flown: config.Vehicle, settings: Path) -> config.Vehicle:
-    over = config.tree_of(config.read(settings, "a file of settings"), str(settings))
-    return config.parse_tree(config.laid_over(flown.tree, over), flown.path, config.Origin(str(settings)))
 
 
 def _changes(flown: config.Vehicle, now: config.Vehicle) -> Iterator[SettingChange]:
@@ -122,10 +118,8 @@ def render(found: Reestimate) -> RenderableType:
 
 
 def _answers(found: Reestimate) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    table.add_column("quantity", no_wrap=True)
-    for heading in ("said on board", "95 % interval", "now", "95 % interval", "change %", "in sigmas"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = "said on board", "95 % interval", "now", "95 % interval", "change %", "in sigmas"
+    table = plain_table("quantity", *headings)
     for name in dict.fromkeys([*found.flown.answers, *found.now.answers]):
         flown, now = found.flown.answers.get(name), found.now.answers.get(name)
         if not any(row is not None and row["supported"] for row in (flown, now)):
@@ -149,10 +143,7 @@ def _change(flown: np.void | None, now: np.void | None) -> tuple[str, str]:
 
 
 def _rows(found: Reestimate) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    table.add_column("rows", no_wrap=True)
-    for heading in ("on board", "now"):
-        table.add_column(heading, justify="right")
+    table = plain_table("rows", "on board", "now")
     table.add_row("used", *(f"{one.used:,} of {one.rows:,}" for one in (found.flown, found.now)))
     for reason in dict.fromkeys([*found.flown.refused, *found.now.refused]):
         counts = (f"{one.refused.get(reason, 0):,}" for one in (found.flown, found.now))

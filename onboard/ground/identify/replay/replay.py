@@ -159,13 +159,9 @@ def steps(rows: Pass, channels: tuple[str, ...]) -> Iterator[EstimatorStep]:
 
 def _require_tick(dtype: np.dtype[np.void], count: int) -> None:
     """Raises ChannelError unless rows of ``tick`` are of this or an earlier version, for ``count`` channels."""
-    wanted = tick_dtype(count)
-    known = wanted.names or ()
+    wanted, there = tick_dtype(count), dtype.names or ()
     late = ("skipped_ns", "fresh")  # not in earlier versions
-    fields = {name: dtype[name] for name in dtype.names or ()}
-    if any(name not in fields and name not in late for name in known) or any(
-        name in fields and fields[name] != wanted[name] for name in known
-    ):
+    if any(dtype[name] != wanted[name] if name in there else name not in late for name in wanted.names or ()):
         raise ChannelError("the rows of 'tick' are none of this vehicle's estimator; heft identify does without them")
 
 
@@ -216,8 +212,8 @@ def _replay(log: LogReader, vehicle: config.Vehicle, restarts_ns: Sequence[int],
             channel.add(rows.waiting(name), again[name])
     while rows.read_on():
         pass
-    for channel_rows, channel in ((rows.waiting(name), channel) for name, channel in channels.items()):
-        channel.add(channel_rows)
+    for name, channel in channels.items():
+        channel.add(rows.waiting(name))
         channel.end(times_ns[0])
     return judged(channels, elsewhere(log.metadata), short, log.damage)
 

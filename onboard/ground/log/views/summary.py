@@ -118,7 +118,8 @@ def render(found: LogOverview) -> RenderableType:
     return Group(*(part for part in parts if part is not None), *(Text(line) for line in found.health.lines()))
 
 
-def _table(*headings: str) -> Table:
+def plain_table(*headings: str) -> Table:
+    """Without a frame, the first column on the left, the others on the right."""
     table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else "left", no_wrap=True)
@@ -128,7 +129,7 @@ def _table(*headings: str) -> Table:
 def _clocks(found: LogOverview) -> RenderableType | None:
     if not found.clocks:
         return None
-    table = _table("clock", "state", "period us", "sigma us", "residual us", "marks", "rejected")
+    table = plain_table("clock", "state", "period us", "sigma us", "residual us", "marks", "rejected")
     for name, rows in sorted(found.clocks.items()):
         row = rows[-1]
         numbers = (f"{row[field] * 1e-3:.3f}" for field in ("period_ns", "sigma_ns", "residual_rms_ns"))
@@ -165,7 +166,7 @@ def _answers(found: LogOverview) -> RenderableType | None:
     rows = {name: row for name, row in rows.items() if row["unit"]} or rows
     if not rows:
         return None
-    table = _table("identified", "value", "95 % interval", "unit", "level")
+    table = plain_table("identified", "value", "95 % interval", "unit", "level")
     for name, row in rows.items():
         value, low, high = (f"{row[key]:.6g}" for key in ("value", "low", "high"))
         numbers = (value, f"{low} .. {high}") if row["supported"] else ("-", "-")

@@ -204,8 +204,8 @@ def test_on_times_are_pulses():
     commanded, on_s = np.array([0.0, 1.0, 2.0]), np.array([0.2, 0.0, 0.5])
     valve, times = valve_of_on_times(commanded, on_s), np.linspace(0.0, 4.0, 401)
     expected = np.clip(times - 0.1, 0.0, 0.2) + np.clip(times - 2.1, 0.0, 0.5)
-    assert np.allclose(valve.impulse_s(times, Opening(0.1, 0.0, 0.0)), expected)
-    short = valve.impulse_s(times, Opening(0.1, 0.05, 0.3))
+    assert np.allclose(valve.integrals(times, Opening(0.1, 0.0, 0.0))[0], expected)
+    short = valve.integrals(times, Opening(0.1, 0.05, 0.3))[0]
     assert np.allclose(short, np.clip(times - 2.15, 0.0, 0.45))
 
 

@@ -50,7 +50,7 @@ def test_a_run_is_a_release_a_motion_and_a_catch(rng):
     assert run.release_s == pytest.approx(112.0, abs=0.2)
     assert run.catch_s == pytest.approx(127.0, abs=0.2)
     assert run.bumps_s == ()
-    (motion,) = run.motions
+    (motion,) = run.motions_s
     assert motion == pytest.approx((114.0, 126.0), abs=0.05)
     (part,) = run.parts
     used = flown.time_s[part]
@@ -87,7 +87,7 @@ def test_a_pause_of_twenty_ticks_ends_a_motion_however_slow(rng, pause_s, motion
     flown.dq[:] *= 0.015 / 0.3  # rad/s
     flown.dq[(flown.time_s > 118.0) & (flown.time_s < 118.0 + pause_s)] = 0.0
     (run,) = cut(flown, PERIOD_s, SETTINGS)
-    assert len(run.motions) == motions
+    assert len(run.motions_s) == motions
 
 
 @pytest.mark.parametrize(

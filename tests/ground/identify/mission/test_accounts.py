@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers import records
-from onboard.ground.identify.mission.accounts import Account, accounts, render
+from onboard.ground.identify.mission.accounts import Account, Seen, render
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter
 
@@ -27,7 +27,10 @@ def written(path: Path, numbers: list[int], *gaps: tuple[int, int, bool], cause:
             end_ns, span_ns = START_NS + PERIOD_NS * (last + 1), PERIOD_NS * (last + 1 - first)
             writer.write("gap", records.gap(end_ns, "joint", first, last, span_ns, cause, counted=counted).rows)
             writer.write("gap", records.gap(end_ns, "tick", first, last, span_ns, "of no device").rows)
-    return accounts(LogReader(path), {"joint": 200}, START_NS)["joint"]
+    seen = Seen({"joint": 200}, START_NS)
+    for batch in LogReader(path).batches():
+        seen.see(batch)
+    return seen.accounts()["joint"]
 
 
 def but(first: int, last: int) -> list[int]:

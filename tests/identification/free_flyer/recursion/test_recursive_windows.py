@@ -7,12 +7,13 @@ import pytest
 
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
-from onboard.flight.estimate.state import UnwrittenParts, from_bytes, to_bytes
+from onboard.flight.estimate.state import UnwrittenParts, from_bytes
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.identification.free_flyer.recursion.bounded_work import WORK
 from tests.dynamics.free_flyer_twin import BOX
+from tests.flight.estimate.state_bytes import to_bytes
 from tests.identification.free_flyer.recorded_flights import PRIOR, online, recorded, same_bits, ticks_of
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from onboard.flight.estimate.state import UnwrittenParts, from_bytes, to_bytes
+from onboard.flight.estimate.state import UnwrittenParts, from_bytes
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.recursion.snapshots import TIERS, Snapshots
 from onboard.identification.free_flyer.steps import Adds
+from tests.flight.estimate.state_bytes import to_bytes
 
 
 def test_a_state_comes_back_whole_and_the_oldest_one_stands_for_those_before_it(rng):
