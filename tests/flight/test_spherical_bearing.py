@@ -26,6 +26,7 @@ from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.standing import Level, standing
 from onboard.identification.useful import sizes
+from tests.flight.estimate.state_bytes import to_bytes
 from tests.flight.missions import Result, fly
 
 NAMES = (*FREE_BODY, "move_trim_x", "move_trim_y", "move_trim_z")
@@ -62,7 +63,7 @@ def kept(flown: Result) -> Kept:
     places, taken = state.UnwrittenParts(estimator), b""
     for count, _ in enumerate(feed(estimator, flown.log)):
         if count == 400:
-            taken = state.to_bytes(estimator, places)
+            taken = to_bytes(estimator, places)
     run = estimator.online
     assert isinstance(run, PivotRun)
     rows = [*flown.table["centres"], *flown.table["inertias"]]
