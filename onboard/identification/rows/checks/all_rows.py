@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import FARTHEST_SIZE, MISFIT_REFUSED
+from onboard.estimation.policy import FARTHEST_SIZE, MISFIT_PART, MISFIT_REFUSED
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.bank import Bank, Weighed
 from onboard.identification.evidence.mixture import Known
@@ -106,7 +106,8 @@ class AllRows:
                 may be any.
         """
         left, _, stated = self._sums(x)
-        return float((left / np.maximum(np.minimum(stated, self._sums(other)[2]), 1.0)).max())
+        stated = np.minimum(stated, self._sums(other)[2])
+        return self._correlation * float((left / np.maximum(stated, 1.0)).max())
 
     def _sums(self, x: FloatArray) -> FloatArray:
         """What an estimate leaves over of each instrument, its rows, and what noise explains, (3, instruments)."""
@@ -192,7 +193,7 @@ def explained(rows: AllRows, bank: Bank, x: FloatArray) -> tuple[Weighed, FloatA
     if likely.suspect is not None:
         x, noise = _settled(rows, x, noise, bank, likely.numbers[:1])
         weighed, colour = _weighed(rows, bank, x, noise)
-    if not weighed.contradicts or max(colour, rows.misfit(x, stated)) > MISFIT_REFUSED:
+    if not weighed.contradicts or colour > MISFIT_REFUSED or rows.misfit(x, stated) > MISFIT_PART:
         return weighed, None
     return weighed, rows.scatter(*weighed.known(weighed.likeliest), colour * noise)
 

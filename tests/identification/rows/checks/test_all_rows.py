@@ -16,17 +16,17 @@ PRIOR = 3.0
 BETA = np.array([2.0, -1.0, 1.5, 0.5])
 
 
-def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40):
-    """Rows of three cells, 20 a second of each: ``factor Y beta`` and noise, which is one sigma.
+def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.0):
+    """Rows of three cells, 20 a second of each: ``factor Y beta`` and noise, ``own`` times that stated.
 
     ``slow``: of what no parameter explains, by the block; ``motion``: noise of the regressor, as it is read.
     """
     seen = RowBlocks(P, BLOCK_S, CELLS)
     times_s = np.repeat(np.arange(0.0, seconds, 0.05), len(CELLS))
     cell = np.tile(np.arange(len(CELLS)), len(times_s) // len(CELLS))
-    true = 10.0 * rng.standard_normal((len(times_s), P))
+    true = 10.0 * (rng.standard_normal((len(times_s), P)) + rng.standard_normal((seconds, P))[times_s.astype(int)])
     block = rng.standard_normal((seconds, len(CELLS)))[times_s.astype(int), cell]
-    y = np.array(factors)[cell] * (true @ BETA) + rng.standard_normal(len(cell)) + slow * block
+    y = np.array(factors)[cell] * (true @ BETA) + own * rng.standard_normal(len(cell)) + slow * block
     Y = true + motion * rng.standard_normal(true.shape)
     sigma = np.full(len(y), np.sqrt(1.0 + motion**2 * (BETA @ BETA)))
     noise = np.tile(motion * np.eye(P, P + 1), (len(y), 1, 1)) if motion else None
@@ -76,9 +76,16 @@ def test_a_scale_of_half_as_much_again_is_of_another_kind(rng):
 
 
 def test_what_is_left_over_and_alike_for_a_block_is_no_explanation(rng):
-    weighed, mean, _ = found(flown(rng, (1.0, 1.2, 1.0), slow=1.0))
+    weighed, mean, _ = found(flown(rng, (1.0, 1.2, 1.0), slow=0.4))
     assert weighed.likeliest.suspect is not None
     assert mean is None
+
+
+def test_noise_of_a_cell_that_is_six_times_what_is_stated_is_no_explanation(rng):
+    weighed, mean, _ = found(flown(rng, (1.0, 1.2, 1.0), own=np.sqrt(6.0)))
+    assert weighed.likeliest.suspect.name == "b"
+    assert mean is None
+    assert found(flown(rng, (1.0, 1.2, 1.0), own=np.sqrt(3.0)))[1] is not None
 
 
 def test_noise_of_the_motion_is_not_taken_for_a_scale(rng):
@@ -90,12 +97,12 @@ def test_noise_of_the_motion_is_not_taken_for_a_scale(rng):
 
 def test_what_scatters_more_than_it_is_known_widens_the_answer(rng):
     x, quiet, wider = np.concatenate([BETA / PRIOR, np.zeros(3)]), np.ones(3), []
-    for slow, colour in ((0.0, 1.5), (3.0, 20.0)):
+    for slow, colour in ((0.0, 1.5), (1.0, 20.0)):
         rows, _ = asked(flown(rng, slow=slow))
         x, known = rows.known(x, quiet)
         assert 0.25 * colour < rows.colour(x, quiet) < colour
         wider.append(PRIOR**2 * np.diag(rows.scatter(x, known, quiet))[:P])
-    assert (wider[1] > 5.0 * wider[0]).all()  # noise is ten times as large
+    assert (wider[1] > 5.0 * wider[0]).all()  # noise of a block's sums is some ten times as large
     assert wider[1] == pytest.approx(np.full(P, 9.0 / 100.0 / 2400.0), rel=0.7)  # over the rows' information
 
 
