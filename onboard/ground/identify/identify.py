@@ -217,6 +217,7 @@ def _one(
         held_link = who.model.vehicle.spec.payload_link
         drawing = fitted_drawing(who.model.vehicle.links, after, [one for one in links if one.link != held_link])
     away = {one.link: one.away for one in links}
+    of_bodies = who.block_jackknife(exact=not who.model.scales).mean  # and not of errors of instruments
     if thrown is not None and thrown.principal is not None:
         away[f"the load {thrown.load.name}"] = thrown.principal.away
     evidence = Evidence(
@@ -239,7 +240,7 @@ def _one(
         observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
         budget={} if thrown is not None else budget(who),
-        left_over=kept.left_over(who.block_jackknife().mean) if roles_of(vehicle).cells else {},
+        left_over=kept.left_over(of_bodies) if roles_of(vehicle).cells else {},
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
         links=links,
         drawing=drawing,

@@ -17,9 +17,11 @@ from onboard.dynamics.model.urdf import with_bodies
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.rows.checks import kept_ticks, suspects
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
+from onboard.identification.rows.checks.prediction import prediction
 from onboard.identification.rows.checks.remade import RowsRemade, turned
 from onboard.identification.rows.checks.suspected import suspected
 from onboard.identification.rows.checks.suspects import RowSuspects
+from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.standing import Level, standing
@@ -162,6 +164,8 @@ def test_where_scales_are_stated_an_axis_that_explains_rows_that_contradict_is_t
     assert who.findings().doubts[0] == f"not as stated: {row}"
     assert abs(mass(who)[0]) < 3.0
     assert mass(who)[1] < 5e-3
+    at_recursion = prediction(who.seen, who.model, who.base, who.block_jackknife(exact=True).mean)
+    assert held_out(who.seen, who).fit.relative_error == pytest.approx(at_recursion.relative_error)
 
 
 def test_where_scales_are_stated_what_comes_nearest_to_rows_that_contradict_is_named():
