@@ -4,7 +4,7 @@ The state z has the errors of the prior, ``beta = beta_0 + G L z``, and errors c
 sigma. A row of instrument r reads ``y = (1 + s_r) Y beta + C c``, s_r the error of its scale, and is linear about an
 estimate; columns C are those that the recursion considers. Of an error without a column nothing is found.
 
-ErrorState of encoders are no larger than stated here: noise of the motion is in their columns as in the regressor, and
+Errors of encoders are no larger than stated here: noise of the motion is in their columns as in the regressor, and
 would be taken for large ones.
 
 Each instrument's noise is what the estimate leaves over of its rows, no less than their weights say. What is left is
@@ -75,7 +75,7 @@ class AllRows:
 
         Args:
             x: the estimate.
-            noise: variance of each instrument over that stated, (instruments,).
+            noise: variance of each instrument over that of its weights, (instruments,).
         """
         size = len(x)
         A, b, doubt = np.zeros((size, size)), np.zeros(size), np.zeros(size)

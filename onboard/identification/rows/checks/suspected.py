@@ -49,7 +49,7 @@ def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Consid
 
 
 class ErrorState:
-    """ErrorState of the prior of an arm, ``beta = centre + G L z``, and of its instruments, each over its stated sigma.
+    """Errors of the prior of an arm, ``beta = centre + G L z``, and of its instruments, each over its stated sigma.
 
     Args:
         model: the rows, of a fixed base, without motors.
@@ -159,6 +159,6 @@ class ErrorState:
         return Suspect(name, at, LIKELY_SIZE / self._each[at, None], odds)
 
     def _alone(self, name: str, at: IndexArray, size: float, odds: float, together: bool = False) -> Suspect:
-        """ErrorState of instruments, each by itself or all by one value."""
+        """Errors of instruments, each by itself or all by one value."""
         along = size / self.sigma[at - self.parameters]
         return Suspect(name, at, along[:, None] if together else np.diag(along), odds)

@@ -162,13 +162,13 @@ class RowSuspects:
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
         if not scaled:
             self._weigh_all(mean, of.correlation, of.seen, of.taken.prior_root)
-        by_all = self.weighed, self.answer
+        likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
         if scaled or contradicted:
             self._weigh(ticks, mean, of.correlation, of.seen)
         if contradicted and not scaled:
-            likeliest = [one.names[:1] for one in (by_all[0], self.weighed) if one is not None]
-            self.explains &= likeliest[1:] == likeliest[:1] and not self.judged()[0]
-            self.answer = by_all[1]
+            assert self.weighed is not None
+            self.explains &= self.weighed.names[:1] == likeliest and not self.judged()[0]
+            self.answer = answer
 
     def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
         """Weighs the hypotheses by the ticks that are kept.
