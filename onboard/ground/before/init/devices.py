@@ -75,12 +75,20 @@ def _table(device: str, kind: str, number: int, common: str) -> NewDevice:
     return NewDevice(f'\n[device.{device}]\nkind = "{kind}"\nbus = "{bus}"\n{common}{keys}', bus, url)
 
 
-def imu(kind: str, frame: str, number: int = 1) -> NewDevice:
-    """The IMU that measures the base, or, recorded, a further one on it, counted from 2."""
+_LEFT_OF_AXES = """accel_scale_sigma = 0.003      # what calibration leaves: yours. An MPU-6050 as it comes: 0.015
+gyro_scale_sigma = 0.003
+misalignment_sigma_rad = 5e-3  # of its axes and its board; as it comes, on standoffs: 0.011
+"""
+
+
+def imu(kind: str, frame: str, number: int = 1, *, by_rows: bool = False) -> NewDevice:
+    """The IMU that measures the base, or, recorded, a further one on it, counted from 2.
+
+    ``by_rows``: what it reads is taken as it is, so the file states what errors it may have.
+    """
     if kind != RECORDED:
-        return _table(
-            "imu_base", kind, 1, f'frame = "{frame}"           # link of the URDF whose axes are the chip\'s\n'
-        )
+        common = f'frame = "{frame}"           # link of the URDF whose axes are the chip\'s\n'
+        return _table("imu_base", kind, 1, common + _LEFT_OF_AXES * by_rows)
     return NewDevice(
         f"""
 [device.{"imu_base" if number == 1 else f"imu_{number}"}]

@@ -183,7 +183,8 @@ def _require(wanted: NewVehicle) -> None:
 
 def _devices(wanted: NewVehicle) -> list[NewDevice]:
     frames = (wanted.imu_frame, *wanted.further_imus) if wanted.imu != "none" else ()
-    chosen = [devices.imu(wanted.imu, frame, number) for number, frame in enumerate(frames, 1)]
+    rows = not KINDS[wanted.base].follows
+    chosen = [devices.imu(wanted.imu, frame, number, by_rows=rows) for number, frame in enumerate(frames, 1)]
     for n, name in enumerate(wanted.joints, 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None
