@@ -77,10 +77,10 @@ def test_a_time_that_is_not_known_well_makes_what_changes_uncertain(tmp_path: Pa
     assert added[1, 2] == pytest.approx(two_milliseconds * abs(rate[1]), rel=0.2)
 
 
-def behind_a_gear(rate_rad_s: float, *, cyclic_fitted: bool) -> ChannelAtTicks:
-    """Joint 1 of DYMAFLEX at a steady rate, its phases 1 and 0."""
+def behind_a_gear(rate_rad_s: float, *, jumps: bool) -> ChannelAtTicks:
+    """Joint 1 of DYMAFLEX at a steady rate, its phases 1 and 0; ``jumps``: its angle does, before the ticks."""
     vehicle = config.load(config.packaged("dymaflex"))
-    device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle, cyclic_fitted=cyclic_fitted)
+    device, signals = vehicle.file.device["joint_1"], SignalSmoother(vehicle, follows_jumps=True)
     assert isinstance(device, Cia406Device)
     seconds = np.arange(0.0, 2.0, 2e-3)
     motor = device.gear_ratio * rate_rad_s * seconds
@@ -89,15 +89,18 @@ def behind_a_gear(rate_rad_s: float, *, cyclic_fitted: bool) -> ChannelAtTicks:
     rows["host_ns"], rows["unit"] = np.rint(seconds * 1e9), b"rad"
     rows["scale"] = 2.0 * np.pi / device.counts_per_revolution
     angle = rate_rad_s * seconds + np.sqrt(2.0) * ripple
+    angle[seconds > 0.1] += 0.02 * jumps
     rows["value_raw"] = device.zero_count + np.floor(angle / rows["scale"])
-    signals.append({"joint_1": rows})
+    rows["sequence"] = np.arange(len(rows))
+    signals.append({"joint_1": rows}, lambda _, some: some["host_ns"])
+    assert bool(signals.jumped) == jumps
     return signals.at("joint_1", recorded("joint_1"), np.arange(200, 1800, 10) * 1_000_000, 2)
 
 
 @pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
 def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_rad_s: float) -> None:
-    smoothed = behind_a_gear(rate_rad_s, cyclic_fitted=False)
-    assert smoothed.cyclic is None
+    """Where the encoder has jumped, and the errors of one that begins elsewhere are not to be fitted."""
+    smoothed = behind_a_gear(rate_rad_s, jumps=True)
     for order, truth in ((1, rate_rad_s), (2, 0.0)):
         scatter = np.sqrt(np.mean((smoothed.derivatives[order] - truth) ** 2))
         assert scatter == pytest.approx(np.sqrt(np.mean(smoothed.sigma[order] ** 2)), rel=0.25)
@@ -106,7 +109,7 @@ def test_behind_a_gear_rate_and_acceleration_scatter_as_their_sigma_says(rate_ra
 @pytest.mark.parametrize("rate_rad_s", [0.05, 0.1, 0.2])
 def test_the_functions_of_cyclic_errors_are_smoothed_as_the_joint_is(rate_rad_s: float) -> None:
     """With the amplitudes and phases of the gear nothing but quantisation and squares of the errors is left."""
-    smoothed = behind_a_gear(rate_rad_s, cyclic_fitted=True)
+    smoothed = behind_a_gear(rate_rad_s, jumps=False)
     assert smoothed.cyclic is not None
     once, twice = np.sqrt(2.0) * 1.6e-5, np.sqrt(2.0) * 5e-5
     gears = np.array([once * np.sin(1.0), once * np.cos(1.0), 0.0, twice])  # of cosine and sine, once and twice a turn

@@ -76,7 +76,6 @@ class Estimator:
         fresh, self.model = build_online(vehicle)
         self.online: OnlineIdentifier = with_hypotheses(vehicle, fresh) if identifier is None else identifier
         self._timebase = timebase_of(vehicle)
-        fitted = settings.how.tick_means
         self._phases = PhaseTrack(settings.phases)
         moving = settings.phases.identify if settings.phases else ()
         self._zeroing = Zeroing(settings.zero, settings.smoothing_ms * 1e-3 * settings.row_rate_hz, moving)
@@ -97,7 +96,7 @@ class Estimator:
         further = self.online.further if isinstance(self.online, MotionIdentifier | TableRun) else ()
         seen = [one for one in roles.trackers if one.channel in {own.name for own in further}]
         follows = isinstance(self.online, FollowsJumps)
-        self._signals = SignalSmoother(vehicle, cyclic_fitted=fitted, trackers=seen, follows_jumps=follows)
+        self._signals = SignalSmoother(vehicle, trackers=seen, follows_jumps=follows)
         self._further, self._tracked = channels_of(roles, further), [TrackedTicks(one, self._period_ns) for one in seen]
         self._torques = TorqueLines.of(roles, self.model, self.online.row_names)
         self._witness: RateWitness | None = None
@@ -106,7 +105,7 @@ class Estimator:
                 self._witness = RateWitness(self.model, (roles.imus[0], roles.imus[1]), settings.imu_prior.gyro_scale)
         except UnknownFrameError as error:
             raise config.ConfigError(f"{vehicle.label}: the IMU of {roles.imus[1].channels[0]}: {error}") from error
-        self._at_joints = JointSignals(roles, self.model, fitted=fitted)
+        self._at_joints = JointSignals(roles, self.model)
         self._cells = {cell.name: cell for cell in roles.cells}
         self._thrusters = [thruster.channel for thruster in roles.thrusters]
         motors = self.online.model.motors if isinstance(self.online, Identifier) else ()
@@ -217,7 +216,7 @@ class Estimator:
             own = OfSamples(np.hstack([*of_joints, base.of_samples]), self._at_joints.orders)
             noise = SignalNoise(*noise_of_joints(spread, dq, ddq), *base.sigma, self.inflation, own)
             friction = None if friction is None else np.nan_to_num(friction)
-            rest = measured_rate, noise, friction, of_rows if of_rows.any() else None
+            rest = measured_rate, noise, friction, of_rows if of_rows.any() else None, cyclic
             signals = Signals(time_s, q, dq, ddq, base.motion, measured, sigma, *rest)
         if self._witness is not None and self._witness.check(self._signals, self._timebase, at_ns, self._period_ns):
             made.append(event(now_ns, Severity.ERROR, "contradiction", "estimation", self._witness.contradiction))

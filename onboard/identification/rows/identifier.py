@@ -260,7 +260,7 @@ class Identifier:
         if not kept.any():
             return
         use[use] = kept
-        tick = np.nonzero(use)[0]  # (r,) of each row
+        tick, row = np.nonzero(use)  # (r,) of each row
         times = signals.time_s[at][tick]
         rows, y, sigma = rows[kept], y[kept], sigma[kept]
         doubt = None if doubt is None else doubt[kept]
@@ -276,7 +276,7 @@ class Identifier:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
             taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
             self._instruments.take(taken)
-        self.seen.add(times, attached[at][tick], self._instrument[np.nonzero(use)[1]], rows, y, sigma, own, doubt, C)
+        self.seen.add(times, attached[at][tick], self._instrument[row], rows, y, sigma, own, doubt, C, mean)
         if self._corrections is not None and noisy.C is not None:
             self._corrections.add(times, rows, y, sigma, noisy.C, doubt, mean)
         self.rows_used += y.size

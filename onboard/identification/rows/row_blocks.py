@@ -1,6 +1,7 @@
 """Normal equations of the rows used, per instrument, payload held or not, and block of time.
 
-Constant memory; later estimates and predictions of any half, instrument or time span are made from them.
+Constant memory; later estimates and predictions of any half, instrument or time span are made from them. What a
+considered error does to a row is linear in the estimate, and stays in the sums as it was at that of its time.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,9 @@ Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None
 """Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1), and by which sigma (m,)."""
 
 
+_MOST_ESTIMATES = 512  # that are kept, evenly spaced
+
+
 class RowBlocks:
     """Sums of ``[Y, y, 1, C]`` over the rows, whitened.
 
@@ -27,11 +31,13 @@ class RowBlocks:
 
     Attributes:
         listener: hears of the rows, if there is one.
+        estimates: at which C was made: since when, and the base parameters, (p,).
     """
 
     def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...], considered: int = 0) -> None:
         self.instruments, self.considered = instruments, considered
         self.listener: Listener | None = None
+        self.estimates = list[tuple[float, FloatArray]]()
         self._made, every = parameters + 2, parameters + 2 + considered
         self._blocks = {
             (held, k): BlockScores(every, block_s) for held in (True, False) for k in range(len(instruments))
@@ -49,6 +55,7 @@ class RowBlocks:
         own: FloatArray,
         noise: FloatArray | None,
         C: FloatArray | None = None,
+        mean: FloatArray | None = None,
     ) -> None:
         """Takes rows in as :meth:`BlockScores.add` does.
 
@@ -62,9 +69,14 @@ class RowBlocks:
             own: (m,) of the readings by themselves.
             noise: (m, s, p + 1) of the motion, per sigma of a signal.
             C: (m, k) what considered errors do to the rows; None where there are none.
+            mean: (p,) at which estimate they do; not needed where they are none.
         """
         if self.listener is not None:
             self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None], sigma)
+        if mean is not None and self.considered and len(times_s):
+            self.estimates.append((float(times_s.min()), mean))
+            if len(self.estimates) > _MOST_ESTIMATES:
+                del self.estimates[1::2]
         columns = [Y, y, sigma, C] if C is not None and self.considered else [Y, y, sigma]
         rows = np.column_stack(columns)  # whitened, that of sigma is one: it counts
         wider = None

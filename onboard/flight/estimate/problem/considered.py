@@ -1,9 +1,11 @@
 """Errors of instruments that rows consider (:mod:`onboard.identification.rows.stated_errors.considered`)."""
 
 from collections.abc import Iterator, Sequence
+from itertools import count
 
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
@@ -18,18 +20,22 @@ _OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
 COMMON_SHARE = 0.5  # of the variance of each gain, of which no data sheet gives it: see :func:`of_gains`
 
 
-def of_motion(roles: Roles) -> list[Considered]:
+def of_motion(roles: Roles, model: VehicleModel) -> list[Considered]:
     """Errors of the sensors of motion, where the file states how well they are known.
 
     Args:
         roles: of the devices.
+        model: whose joints these measure; functions of cyclic errors are in its order.
     """
-    found = list[Considered]()
-    for joint in roles.joints:
+    found, sensors, functions = list[Considered](), {joint.joint: joint for joint in roles.joints}, count()
+    for joint in (sensors[one.name] for one in model.joints):
         name, at = joint.channel, joint.joint
         found.append(Considered(f"scale of {name}", at, "joint_scale", joint.scale_sigma, f"{name} scale_sigma"))
         found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
         found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
+        cyclic = f"cyclic error of {name}"
+        for _, rms in roles.signals[name].ripple:
+            found += [Considered(cyclic, at, "joint_cyclic", rms, axis=next(functions)) for _ in ("cosine", "sine")]
     for imu in roles.imus[:1]:
         found += _of_imu(imu)
     return [cause for cause in found if cause.sigma > 0.0]

@@ -29,16 +29,15 @@ class JointSignals:
     Args:
         roles: of the devices; each joint has one.
         model: gives the order of the joints.
-        fitted: cyclic errors are fitted, and their functions wanted.
 
     Attributes:
         orders: how often the samples of each source of noise are differentiated, as of :class:`OfSamples`.
     """
 
-    def __init__(self, roles: Roles, model: VehicleModel, *, fitted: bool) -> None:
+    def __init__(self, roles: Roles, model: VehicleModel) -> None:
         joints, self._names = {joint.joint: joint for joint in roles.joints}, [joint.name for joint in model.joints]
         self._sensors = [joints[joint.name] for joint in model.joints]
-        self._functions = [2 * len(roles.signals[one.channel].ripple) if fitted else 0 for one in self._sensors]
+        self._functions = [2 * len(roles.signals[one.channel].ripple) for one in self._sensors]
         self.orders = orders_of([one.is_rate for one in self._sensors])
 
     def at(self, signals: SignalSmoother, timebase: Timebase, at_ns: NDArray[np.int64]) -> JointsAtTicks:

@@ -48,7 +48,6 @@ class SignalSmoother:
 
     Args:
         vehicle: its file.
-        cyclic_fitted: cyclic errors of encoders are fitted: their functions are returned, the noise is without them.
         trackers: whose poses are wanted.
         follows_jumps: the estimator goes on after an encoder has jumped.
     """
@@ -57,11 +56,10 @@ class SignalSmoother:
         self,
         vehicle: config.Vehicle,
         *,
-        cyclic_fitted: bool = False,
         trackers: Sequence[TrackerRole] = (),
         follows_jumps: bool = False,
     ) -> None:
-        self._cyclic_fitted, self._follows = cyclic_fitted, follows_jumps
+        self._follows = follows_jumps
         self.width_s = vehicle.file.estimation.smoothing_ms * 1e-3
         self._kernel = kernel_of(vehicle)
         self._response = Response(self.width_s, self._kernel)
@@ -310,8 +308,7 @@ class SignalSmoother:
             return
         # those of an encoder that has jumped begin elsewhere, or turn at another rate, under all hypotheses
         lost = [name in self._jumps and self._jumps[name].jumped for name in group]
-        fitted = self._cyclic_fitted & ~np.repeat(lost, np.diff([0, *ends]))
-        left = rms * np.where(fitted, CYCLIC_LEFT, 1.0)
+        left = rms * np.where(np.repeat(lost, np.diff([0, *ends])), 1.0, CYCLIC_LEFT)
         turning = periods * rate[:, columns]
         passed = np.stack([left * self._response.gain(turning, order) for order in range(len(sigma))])
         for each in rounds:
@@ -335,7 +332,7 @@ class SignalSmoother:
             derivatives: that are wanted.
         """
         columns, periods, _, ends, _ = self._errors(group)
-        if not (derivatives and self._cyclic_fitted and columns.size):
+        if not (derivatives and columns.size):
             return {}
         smoothed, _ = window.stacked(cyclic_functions(values[:, columns] * periods), range(derivatives + 1))
         functions = smoothed.swapaxes(0, 1)

@@ -22,7 +22,7 @@ from onboard.estimation.smoothing import correlation_inflation
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.problem.identification import build_free_flyer, channels_of
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
+from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.ground.before.foresee.plan import Foreseen, MotionNoise, MotionPlan, axes_words, body_values, expected
 from onboard.identification.free_flyer.online import MotionIdentifier, rows_of
@@ -163,7 +163,7 @@ class FilterNoise:
         means = [one.inflation * np.array(one.noise) / np.sqrt(n) for one, n in zip(signals, per_tick, strict=True)]
         self._of_lines: FloatArray = np.concatenate(means)
         self._torques = TorqueLines.of(roles, model, rows_of(further))
-        self._joints = MotionNoise(vehicle, model, CYCLIC_LEFT)
+        self._joints = MotionNoise(vehicle, model)
         self.cyclic = self._joints.cyclic
         width_s, period_s = settings.smoothing_ms * 1e-3, 1.0 / settings.row_rate_hz
         self._inflation = correlation_inflation(width_s, period_s, kernel_of(vehicle))

@@ -16,7 +16,7 @@ from onboard.estimation.policy import HALF
 from onboard.estimation.smoothing import Response, SmoothingWindow
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.signals import kernel_of
+from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
 from onboard.identification.quantities import BODY, Findings, QuantityEstimate
 from onboard.identification.standing import Level, standing
 from onboard.identification.useful import Useful, sizes
@@ -185,15 +185,13 @@ class MotionNoise:
     Args:
         vehicle: its file.
         model: of it.
-        left: part of the cyclic errors that is noise: all of them, or what an estimator that fits them leaves.
     """
 
-    def __init__(self, vehicle: config.Vehicle, model: VehicleModel, left: float = 1.0) -> None:
+    def __init__(self, vehicle: config.Vehicle, model: VehicleModel) -> None:
         roles = roles_of(vehicle)
         self._response = Response(vehicle.file.estimation.smoothing_ms * 1e-3, kernel_of(vehicle))
         by_name = {joint.joint: joint for joint in roles.joints}
         self._steady = np.zeros((3, len(model.joints)))
-        self._left = left
         self._ripple: list[tuple[int, int, float, float]] = []  # column, lowest order, periods per rad, rms
         for column, joint in enumerate(model.joints):
             role = by_name[joint.name]
@@ -206,7 +204,7 @@ class MotionNoise:
         out = np.repeat(self._steady[:, None, :], len(dq), axis=1)
         for column, lowest, periods, rms in self._ripple:
             for order in range(lowest, 3):
-                passed = self._left * rms * self._response.gain(periods * dq[:, column], order - lowest)
+                passed = CYCLIC_LEFT * rms * self._response.gain(periods * dq[:, column], order - lowest)
                 out[order, :, column] = np.hypot(out[order, :, column], passed)
         return out
 

@@ -180,6 +180,7 @@ class StatedNoise:
             *(plan.time_s, plan.q, plan.dq, plan.ddq, motion),
             *(true, sigma * self._inflation, np.gradient(true, self.period_s, axis=0)),
             *(noise, flowing, refused if refused.any() else None),
+            cyclic=self._joints.cyclic(plan.q, plan.dq),
         )
 
 

@@ -10,7 +10,6 @@ from onboard.flight.estimate.problem.model import samples_per_tick
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.signals import CYCLIC_LEFT
 from onboard.ground.before.foresee.plan import (
     UNDETERMINED,
     Expected,
@@ -53,7 +52,7 @@ def foresee_table(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     links, _, payload_sigma = free_flyer_prior(vehicle, model)
     noise = np.concatenate([np.array(roles.signals[c].noise) for c in roles.imu.channels]) / np.sqrt(samples)
     nothing = np.zeros((last - first, 3))
-    of_joints = MotionNoise(vehicle, model, CYCLIC_LEFT)
+    of_joints = MotionNoise(vehicle, model)
     _, rates, accelerations = of_joints.at(plan.dq[run])
     flight = FlightSignals(
         *(period_s, plan.q[run], plan.dq[run], plan.ddq[run], nothing, nothing, noise[:3], noise[3:], samples),

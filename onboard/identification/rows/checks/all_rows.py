@@ -48,6 +48,10 @@ class AllRows:
         errors: the state, n of the prior and e of instruments.
         scales: place of each instrument's error of scale among those of instruments, (instruments,).
         correlation: how many neighbouring rows say the same thing.
+        since_s: blocks that begin earlier are left out.
+
+    Attributes:
+        share: of the rows, that are taken in.
     """
 
     def __init__(
@@ -57,14 +61,24 @@ class AllRows:
         errors: ErrorState,
         scales: Sequence[int],
         correlation: float,
+        since_s: float = -np.inf,
     ) -> None:
         self._half, self._centre, self._sigma, self._correlation = half, errors.centre, errors.sigma, correlation
         self._scales, (self._p, self._n), self._k = scales, half.shape, seen.considered
         self._parts = list[_Part]()
+        rows = np.zeros(2)
         for part in seen.parts:
             blocks, noise = seen.with_errors(*part)
-            sums = blocks, blocks.sum(axis=0), noise.sum(axis=0)
-            self._parts.append(_Part(part[1], seen.times_s(*part), *sums, seen.own(*part)))
+            times_s = seen.times_s(*part)
+            late = times_s >= since_s
+            count = (blocks + noise)[:, -1, -1]
+            rows += count.sum(), count[late].sum()
+            if late.any():
+                blocks, own = blocks[late], seen.own(*part) * float(count[late].sum() / count.sum())
+                self._parts.append(
+                    _Part(part[1], times_s[late], blocks, blocks.sum(axis=0), noise[late].sum(axis=0), own)
+                )
+        self.share = float(rows[1] / max(rows[0], 1.0))
         self._errors = np.zeros((self._p + self._k + 2, len(errors.sigma)))  # columns of all, but for scales
         for e, (at, sigma) in enumerate(zip(errors.columns, errors.sigma.tolist(), strict=True)):
             if e not in scales:

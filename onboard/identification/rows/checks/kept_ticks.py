@@ -19,6 +19,7 @@ class SmoothedTicks(NamedTuple):
     dq: FloatArray  # (t, j)
     ddq: FloatArray  # (t, j)
     jerk: FloatArray  # (t, j)
+    cyclic: FloatArray  # (t, 3, c) functions of the encoders' cyclic errors, and two derivatives
     force: FloatArray  # (t, 3) specific force of the base, m/s^2
     attached: BoolArray  # (t,) whether the payload is held
     measured: FloatArray  # (t, m), 0 where a row was not used

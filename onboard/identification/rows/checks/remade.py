@@ -3,7 +3,8 @@
 The recursion's rows are linear in the base parameters, made of the motion as it was read. Here angles, rates and
 accelerations are first corrected for errors of the encoders, and readings for those of the cells:
 
-    q' = (q - zero) / (1 + scale) + delay dq + delay^2 ddq / 2,    reading = (1 + gain) (Y(q', dq', ddq') chi + bias)
+    q' = (q - zero - cyclic) / (1 + scale) + delay dq + delay^2 ddq / 2,
+    reading = (1 + gain) (Y(q', dq', ddq') chi + bias)
 
 with the specific force turned by how far the base is from level, and the wrench by how far the cells are turned in
 their mount. A gain is a base parameter or, where it is not estimated, an error. Derivatives by errors of motion are
@@ -23,7 +24,7 @@ from onboard.regressor.rows import BaseMotion, RowModel
 
 _STEP = 1e-6  # rad, relative or s, of a difference
 STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next
-OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "level")
+OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "joint_cyclic", "level")
 OF_READING = ("scale", "delay", "drift", "step", "turned")
 
 
@@ -122,17 +123,20 @@ class RowsRemade:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Motion without the errors of its sensors: angles, rates, accelerations, specific force."""
         zero, scale, delay = np.zeros((3, len(self._joints)))
-        tilt = np.zeros(3)
+        off, tilt = np.zeros((len(ticks.q), 3, len(zero))), np.zeros(3)
         for one, error in zip(self._errors, errors.tolist(), strict=True):
             if one.effect == "level":
                 tilt[one.axis or 0] = error
+            elif one.effect == "joint_cyclic":
+                off[:, :, self._joints.index(one.row)] += error * ticks.cyclic[:, :, one.axis or 0]
             elif one.effect in OF_MOTION:
                 kind = {"joint_zero": zero, "joint_scale": scale, "joint_delay": delay}[one.effect]
                 kind[self._joints.index(one.row)] = error
         over = 1.0 / (1.0 + scale)
-        q = (ticks.q - zero) * over + delay * ticks.dq + 0.5 * delay**2 * ticks.ddq
-        dq = ticks.dq * over + delay * ticks.ddq + 0.5 * delay**2 * ticks.jerk
-        return q, dq, ticks.ddq * over + delay * ticks.jerk, ticks.force + np.cross(tilt, ticks.force)
+        q = (ticks.q - zero - off[:, 0]) * over + delay * ticks.dq + 0.5 * delay**2 * ticks.ddq
+        dq = (ticks.dq - off[:, 1]) * over + delay * ticks.ddq + 0.5 * delay**2 * ticks.jerk
+        ddq = (ticks.ddq - off[:, 2]) * over + delay * ticks.jerk
+        return q, dq, ddq, ticks.force + np.cross(tilt, ticks.force)
 
 
 def turned(model: RowModel, error: Considered) -> FloatArray:

@@ -6,9 +6,11 @@ of those of forces, of moments, or of all, the scale and the delay, and of a cel
 frame may be turned in their mount, the base not level.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.constants import g
 
 from onboard.estimation.arrays import ROUNDING, FloatArray, IndexArray
 from onboard.estimation.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DELAY_s
@@ -38,14 +40,22 @@ def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Consid
     asked += [(row.name, "scale", LIKELY_SIZE, None) for k, row in enumerate(model.rows) if k not in estimated]
     asked += [(row.name, "step", LIKELY_SIZE, place) for row in model.rows for place in range(STEPS)]
     for axis in range(3):
-        asked.append((model.vehicle.spec.base_link, "level", LIKELY_SIZE, axis))
         asked += [(frame, "turned", LIKELY_SIZE, axis) for frame in dict.fromkeys(row.frame for row in model.rows)]
     more = [
         Considered(f"{effect} of {row}", row, effect, _UNSTATED * size, axis=axis)
         for row, effect, size, axis in asked
         if (row, effect) not in known
     ]
-    return (*stated, *more)
+    return (*stated, *_level(considered, model.vehicle.spec.base_link), *more)
+
+
+def _level(considered: Sequence[Considered], base: str) -> Iterator[Considered]:
+    """How far the base may not be level, by axis: as far as an IMU on it may err that is taken for what shows it."""
+    for axis in range(3):
+        about = [one.sigma for one in considered if one.effect == "accelerometer_misalignment" and one.axis == axis]
+        along = [one.sigma / g for one in considered if one.effect == "accelerometer_bias" and one.axis == axis]
+        sigma = math.hypot(_UNSTATED * LIKELY_SIZE, *about, *along)
+        yield Considered(f"level of {base}", base, "level", sigma, axis=axis)
 
 
 class ErrorState:
@@ -57,7 +67,7 @@ class ErrorState:
         prior_root: L of the prior covariance of the standard parameters, (P, P).
         considered: errors that the recursion considers.
         remade: whether rows are made again about any error; else those that are not considered are left out, but those
-            of cells' scales, and encoders are as wrong as stated and no suspects.
+            of cells' scales, and sensors of motion are as wrong as stated and no suspects.
 
     Attributes:
         of_instruments: those of instruments, e.
@@ -77,7 +87,10 @@ class ErrorState:
         remade: bool = True,
     ) -> None:
         every = suspected(considered, model)
-        self.of_instruments = tuple(one for one in every if remade or one in considered or one.effect == "scale")
+        if not remade:
+            cells = [one for one in every if one.effect == "scale" and one not in considered]
+            every = (*(one for one in considered if one.sigma > 0.0 and one.row), *cells)
+        self.of_instruments = every
         self.columns = [considered.index(one) if one in considered else -1 for one in self.of_instruments]
         self._grouping = base.grouping
         self._active = np.flatnonzero((base.grouping @ prior_root).any(axis=0))

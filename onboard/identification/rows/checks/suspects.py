@@ -49,6 +49,7 @@ from onboard.identification.rows.checks.remade import RowsRemade
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered, rate_of
+from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors
 from onboard.identification.rows.stated_errors.stated import Taken
 from onboard.identification.windows import SHORTEST
 from onboard.regressor.base_parameters import BaseParameters
@@ -63,6 +64,7 @@ class _Estimated(Protocol):
     """What is weighed of a recursion."""
 
     seen: RowBlocks
+    errors: ConsideredErrors
 
     @property
     def rls(self) -> SquareRootRls: ...
@@ -142,8 +144,10 @@ class RowSuspects:
         measured = np.where(use, signals.measured[at], 0.0)
         rate = np.zeros_like(measured) if signals.measured_rate is None else signals.measured_rate[at]
         jerk = rate_of(signals, signals.ddq)[at]
-        motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, signals.motion.specific_force_m_s2[at]
-        self._kept.add(SmoothedTicks(signals.time_s[at], *motion, attached, measured, np.where(use, rate, 0.0), weight))
+        cyclic = np.zeros((len(signals.q), 3, 0)) if signals.cyclic is None else signals.cyclic
+        motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, cyclic[at]
+        rows = attached, measured, np.where(use, rate, 0.0), weight
+        self._kept.add(SmoothedTicks(signals.time_s[at], *motion, signals.motion.specific_force_m_s2[at], *rows))
         held = use[attached].sum()
         self._rows += held, use.sum() - held
 
@@ -161,7 +165,7 @@ class RowSuspects:
             return
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
         if not scaled:
-            self._weigh_all(mean, of.correlation, of.seen, of.taken.prior_root)
+            self._weigh_all(of, mean)
         likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
         if scaled or contradicted:
             self._weigh(ticks, mean, of.correlation, of.seen)
@@ -201,18 +205,25 @@ class RowSuspects:
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
 
-    def _weigh_all(self, mean: FloatArray, correlation: float, seen: RowBlocks, prior_root: FloatArray) -> None:
+    def _weigh_all(self, of: _Estimated, mean: FloatArray) -> None:
         """The same by the sums over all rows, of cells whose scales are stated.
 
+        Rows of before the estimate settled are left out, for what errors do to them was made at another one; where
+        that is most of them, nothing is explained.
+
         Args:
-            mean: the recursion's estimate, (p,).
-            correlation: how many neighbouring rows say the same thing.
-            seen: the rows.
-            prior_root: L of the prior covariance as wide as it is taken, (P, P).
+            of: the recursion, and its prior as wide as it is taken.
+            mean: its estimate, (p,).
         """
         errors, own = self._of_all_rows, slice(0, self._n)
-        half = errors.half(prior_root)
-        rows = AllRows(seen, half, errors, [errors.scale_of(row) for row in self._names], correlation)
+        half, seen = errors.half(of.taken.prior_root), of.seen
+        size = np.sqrt(np.maximum(np.diag(seen.total())[:-2], _TINY))
+        since_s = of.errors.settled_s(seen.estimates, mean, 1.0 / size)
+        scales = [errors.scale_of(row) for row in self._names]
+        rows = AllRows(seen, half, errors, scales, of.correlation, since_s)
+        if rows.share < MOSTLY:
+            self.explains = False
+            return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
         try:
             weighed, more = explained(rows, errors.bank, x)

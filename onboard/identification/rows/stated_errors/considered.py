@@ -19,7 +19,7 @@ from onboard.regressor.rows import RowModel, base_motion
 from onboard.regressor.signals import Signals
 
 OfRow = Literal["scale", "held_scale", "delay", "drift"]
-OfJoint = Literal["joint_scale", "joint_zero", "joint_delay"]
+OfJoint = Literal["joint_scale", "joint_zero", "joint_delay", "joint_cyclic"]
 OfImu = Literal[
     "gyro_scale",
     "gyro_misalignment",
@@ -33,20 +33,26 @@ OfImu = Literal[
 Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
 Effect = OfRow | OfJoint | OfImu | Suspected
 _OF_ROW = ("scale", "held_scale", "delay", "drift")
-_OF_JOINT = ("joint_scale", "joint_zero", "joint_delay")
+_OF_JOINT = ("joint_scale", "joint_zero", "joint_delay", "joint_cyclic")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
 _STEP_S = 1e-4  # of a delay
 
 
 class Considered(NamedTuple):
-    """An error common to all readings of one instrument, with a known sigma."""
+    """An error common to all readings of one instrument, with a known sigma.
+
+    ``axis`` of a cyclic error is the number of the function in ``Signals.cyclic`` that it is a multiple of.
+    """
 
     name: str
     row: str  # of a load cell; of a joint, its name; of the IMU, its frame; "" of a scale that is common to all rows
     effect: Effect
     sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
-    axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
+    axis: int | None = (
+        None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given.
+    )
+    # Of a cyclic error: the function that it is a multiple of, by its number in ``Signals.cyclic``
 
     @property
     def is_common(self) -> bool:
@@ -58,7 +64,7 @@ class Considered(NamedTuple):
         """Its key and value: ``load_cell scale_sigma 0.25 %``."""
         if self.effect.endswith("delay"):
             value = f"{1e3 * self.sigma:.3g} ms"
-        elif self.effect.endswith(("zero", "misalignment")):
+        elif self.effect.endswith(("zero", "misalignment", "cyclic")):
             value = f"{1e3 * self.sigma:.3g} mrad"
         elif self.effect == "drift":
             value = f"{self.sigma:.3g} N/s"
@@ -114,7 +120,7 @@ def columns(
         (r, k, p + 1) factors of the parameters, and of 1.
 
     Raises:
-        SignalError: a delay, and no rate of the measured rows.
+        SignalError: a delay, and no rate of the measured rows; a cyclic error, and no function of it.
     """
     if not considered:
         return None
@@ -164,6 +170,11 @@ def _misread(
         return signals._replace(q=q * (1.0 + own), dq=dq * (1.0 + own), ddq=ddq * (1.0 + own))
     if cause.effect == "joint_delay":
         return signals._replace(q=q - own * dq, dq=dq - own * ddq, ddq=ddq - own * rate_of(signals, ddq))
+    if cause.effect == "joint_cyclic":
+        if signals.cyclic is None:
+            raise SignalError(f"{cause.name!r} is cyclic; give its function")
+        of = signals.cyclic[:, :, [cause.axis or 0]]  # (n, 3, 1)
+        return signals._replace(q=q + own * of[:, 0], dq=dq + own * of[:, 1], ddq=ddq + own * of[:, 2])
     parts = [*read(cause.row)]
     kind = cause.effect.removeprefix("gyro_").removeprefix("accelerometer_")
     for index in (0, 1) if cause.effect.startswith("gyro") else (2,):

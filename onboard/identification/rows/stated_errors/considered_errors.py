@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.policy import MOST_SHARE
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.stated_errors.considered import Considered, columns
 from onboard.identification.rows.stated_errors.whitening import NoisyRows
@@ -94,6 +95,24 @@ class ConsideredErrors:
             added = (weighted @ rows.C).reshape(self._p, *D.shape[1:])  # (p, k, p + 1)
             self._sums += added.transpose(1, 0, 2)
         return rows._replace(C=D @ [*mean, 1.0])
+
+    def settled_s(self, estimates: Sequence[tuple[float, FloatArray]], mean: FloatArray, scale: FloatArray) -> float:
+        """Since when the errors did to the rows what they do at an estimate, but for a tenth.
+
+        Args:
+            estimates: of before: from when on, and (p,).
+            mean: the estimate, (p,).
+            scale: of each parameter, by which effects on them are added up, (p,).
+        """
+        if self._sums is None or not estimates:
+            return -np.inf
+        sigma = np.array([cause.sigma for cause in self._considered])
+        sums = self._sums * (sigma[:, None, None] * scale[:, None])  # (k, p, p + 1)
+        now = float(np.linalg.norm(sums @ [*mean, 1.0]))
+        moved = np.array([one - mean for _, one in estimates])  # (e, p)
+        off = np.linalg.norm(np.einsum("kpq,eq->ekp", sums[..., :-1], moved), axis=(1, 2)) > (1.0 - MOST_SHARE) * now
+        last = int(np.flatnonzero(off).max(initial=-1))
+        return estimates[last + 1][0] if last + 1 < len(estimates) else np.inf
 
     def restate(self, rls: SquareRootRls) -> None:
         """Give the recursion what the errors do to all of its rows at its estimate."""

@@ -114,3 +114,24 @@ def test_readings_that_no_noise_explains_are_a_misfit(rng):
     loud, _ = asked(flown(rng, motion=5.0))
     assert loud.misfit(x, x) == pytest.approx(1.0, rel=0.1)
     assert loud.misfit(10.0 * x, x) > 50.0  # whose own noise of the motion would explain anything
+
+
+def test_errors_of_rows_of_before_the_estimate_settled_are_left_out(rng):
+    """In the first 15 of 40 s they were made of a body of next to no mass: what is left of the error misleads."""
+    seen = RowBlocks(P, BLOCK_S, CELLS, 1)
+    times_s = np.repeat(np.arange(0.0, 40.0, 0.05), len(CELLS))
+    cell, Y = np.tile(np.arange(len(CELLS)), 800), 10.0 * rng.standard_normal((len(times_s), P))
+    effect = rng.standard_normal(len(times_s))
+    y = Y @ BETA + 3.0 * effect + rng.standard_normal(len(times_s))
+    C = np.where(times_s < 15.0, 0.1, 1.0) * effect
+    one = np.ones(len(times_s))
+    seen.add(times_s, one > 0, cell, Y, y, one, one, None, C[:, None], BETA)
+    errors = SimpleNamespace(centre=np.zeros(P), sigma=np.array([*np.full(3, STATED), 1.0]), columns=[-1, -1, -1, 0])
+    x, found = np.concatenate([BETA / PRIOR, np.zeros(4)]), []
+    for since_s in (-np.inf, 15.0):
+        rows = AllRows(seen, PRIOR * np.eye(P), errors, [0, 1, 2], 1.0, since_s)
+        found.append((rows.share, rows.known(x, rows.noise(x))[0][-1]))
+    assert found[0][0] == 1.0
+    assert found[1][0] == pytest.approx(25.0 / 40.0, rel=0.01)
+    assert found[1][1] == pytest.approx(3.0, abs=0.06)
+    assert found[0][1] > 3.1
