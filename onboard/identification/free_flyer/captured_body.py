@@ -113,7 +113,7 @@ class CapturedBody:
         for name, unit, value, sigma, share in zip(NAMES, UNITS, values, self._told.sigma, shrinkage, strict=True):
             if share <= SUPPORTED_SHRINKAGE:
                 told = float(value), float(sigma), float(value - HALF * sigma), float(value + HALF * sigma)
-                found.append(QuantityEstimate(name, unit, *told, float(share), True, ""))
+                found.append(QuantityEstimate(name, unit, *told, supported=True, shrinkage=float(share)))
             else:
                 found.append(
                     _untold(
@@ -188,4 +188,4 @@ def _unknown(why: str) -> tuple[QuantityEstimate, ...]:
 
 
 def _untold(name: str, unit: str, why: str) -> QuantityEstimate:
-    return QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, np.nan, False, why)
+    return QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, False, note=why)

@@ -209,8 +209,9 @@ class MotionIdentifier:
         for k, name in enumerate(self.quantity_names):
             numbers = np.array([body[k], spread[k], *ends[:, k]]) if fine[k] else np.full(6, np.nan)
             value, around, low, high, lowest, highest = numbers.tolist()
-            told = value, around, low, high, float(shrinkage[k]), bool(fine[k]), "" if fine[k] else note
-            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k], own_outer=(lowest, highest)))
+            told = name, BODY_UNITS[k], value, around, low, high, bool(fine[k])
+            more = leans[k], (lowest, highest), float(shrinkage[k]), "" if fine[k] else note
+            quantities.append(QuantityEstimate(*told, np.nan, *more))
         supported = sigma <= SUPPORTED_SHRINKAGE * ekf.payload_sigma
         return Estimate(
             self.parameter_names,

@@ -152,13 +152,16 @@ class PivotRun(TableRun):
         supported = np.asarray(numbers[4] <= SUPPORTED_SHRINKAGE, np.bool_)
         note = self.failure or "not determined by the data so far"
         made = [
-            QuantityEstimate(name, unit, *one, bool(one[4] <= SUPPORTED_SHRINKAGE), note, leans=lean)
-            for name, unit, one, lean in zip(self.quantity_names, self._units, quantities, leans, strict=True)
+            QuantityEstimate(
+                name, unit, mean, sigma, low, high, s <= SUPPORTED_SHRINKAGE, leans=lean, shrinkage=s, note=note
+            )
+            for name, unit, (mean, sigma, low, high, s), lean in zip(
+                self.quantity_names, self._units, quantities, leans, strict=True
+            )
         ]
         mean, sigma, low, high = numbers[:4]
-        return Estimate(
-            self.parameter_names, mean, sigma, low, high, supported, tuple(made), self.rows_used, dict(self.refused)
-        )
+        told = supported, tuple(made), self.rows_used, dict(self.refused)
+        return Estimate(self.parameter_names, mean, sigma, low, high, *told)
 
     def budget(self) -> dict[str, tuple[Contribution, ...]]:
         """What the sigma of each quantity is made of, by its name; empty before there is a fit."""

@@ -260,10 +260,10 @@ class Hypotheses:
         for k, (one, first) in enumerate(estimates.items()):
             for other, second in list(estimates.items())[k + 1 :]:
                 for a, b in zip(first.quantities, second.quantities, strict=True):
-                    sigmas = abs(a.mean - b.mean) / float(np.hypot(a.sigma, b.sigma))
+                    sigmas = abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))
                     if a.supported and b.supported and sigmas > most[0]:
                         told = f"{one.left_out} and {other.left_out} contradict each other: {a.name} is "
-                        most = sigmas, told + f"{b.mean:.4g} or {a.mean:.4g} {a.unit}"
+                        most = sigmas, told + f"{b.value:.4g} or {a.value:.4g} {a.unit}"
         return most
 
     def _note(self, kind: str, what: str) -> None:

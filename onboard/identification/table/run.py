@@ -1,4 +1,4 @@
-"""Gates and keeps ticks that are estimated afterwards; on an air-bearing table nothing is estimated on board.
+"""Gates ticks that are estimated afterwards; on an air-bearing table nothing is estimated on board.
 
 The velocity follows from the joints only from the start of the run on, so the run is estimated in one batch afterwards
 (:mod:`onboard.identification.table.air_bearing`); so are runs between release and catch by hand

@@ -238,7 +238,7 @@ def unlike_the_carrier(vehicle: config.Vehicle, load: config.Load, estimate: Est
         if one.shrinkage <= SUPPORTED_SHRINKAGE:
             value, sigma = stated[one.name]
             spread = math.hypot(one.sigma, sigma, scale.get(one.name, 0.0) * value)
-            away[f"{one.name} of the carrier"] = float(one.mean - value) / spread
+            away[f"{one.name} of the carrier"] = float(one.value - value) / spread
     return contradicted(away)
 
 

@@ -91,7 +91,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle | None:
     for width_ms in (one for one in WIDTHS_ms if 1e-3 * one >= FEWEST_SAMPLES * slowest_s):
         estimator = Estimator(with_width(vehicle, width_ms, 0.5 * _ROWS), at_the_end=True)
         who = fed(estimator, log, AT_ONCE_s).identifier
-        if (by_halves := halves(who.seen, who)) is not None:
+        if (by_halves := halves(who)) is not None:
             by_width[width_ms] = who, by_halves
     if len(by_width) < 2:
         return None
