@@ -111,7 +111,7 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
         ConfigError: its file lacks settings for it.
     """
     settings = vehicle.file.estimation.model_copy(update={"method": method})
-    other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    other = vehicle.with_sections(estimation=settings)
     check(other)
     if not settings.predicts and not (settings.base_rows or roles_of(other).cells):
         raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")

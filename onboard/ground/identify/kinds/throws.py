@@ -177,8 +177,7 @@ def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identif
     whole, section = free_body.whole_body(identifier, load.mass_kg), vehicle.file.free_body
     assert section is not None
     carrier = Carrier(**_carrier_keys(whole.body, whole.sigma))
-    known = vehicle.file.model_copy(update={"free_body": section.model_copy(update={"carrier": carrier})})
-    return vehicle.model_copy(update={"file": known})
+    return vehicle.with_sections(free_body=section.model_copy(update={"carrier": carrier}))
 
 
 def carriers(vehicle: config.Vehicle, loads: Mapping[Path, config.Load]) -> list[Path]:

@@ -61,8 +61,7 @@ def with_width(vehicle: config.Vehicle, width_ms: float, rows: float = _ROWS) ->
 def with_settings(vehicle: config.Vehicle, width_ms: float, **more: float) -> config.Vehicle:
     """The same vehicle with another smoothing, a lag that it fits into, and other settings of its estimation."""
     own = {"smoothing_ms": width_ms, "lag_ms": max(vehicle.file.estimation.lag_ms, LAG_OF_WIDTH * width_ms), **more}
-    settings = vehicle.file.estimation.model_copy(update=own)
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    return vehicle.with_sections(estimation=vehicle.file.estimation.model_copy(update=own))
 
 
 def best_width(errors: Mapping[float, float]) -> tuple[float, str]:
@@ -147,8 +146,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
         settings = settings.model_copy(update={"phases": held})
         begins = f"the payload is held from {held.payload_taken} on in channel {IN_TURN!r}"
         said.append(f"{begins}: [estimation.phases]")
-    file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
-    found_so_far = vehicle.model_copy(update={"file": file})
+    found_so_far = vehicle.with_sections(device=devices, estimation=settings)
     if free or thrown or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
     return RecordedVehicle(choice.vehicle, (*said, *choice.said))
