@@ -229,7 +229,8 @@ class Hypotheses:
         told, evidence = [member for member in findings if not member.still_held], list[tuple[float, bool]]()
         for member in told:
             held = member._replace(still_held=True)
-            better = self._nats(member, held)
+            as_told, as_held = self._members[member], self._members[held]
+            better = nats(as_told.rows_seen, as_held.rows_seen, as_told.correlation)
             likelier = member if better > 0.0 else held
             evidence.append((better, len(told) == 1 or self._is_clean(likelier, findings[likelier])))
         accepted = has_happened(evidence)
@@ -247,11 +248,6 @@ class Hypotheses:
         self._members, self._told_rows, self._released = kept, None, accepted
         if not accepted:
             self._contradiction, self._mixed = "", {}  # they were of answers that took the release for true
-
-    def _nats(self, one: Member, other: Member) -> float:
-        """Log of the evidence for one over that for another."""
-        first, second = self._members[one], self._members[other]
-        return nats(first.rows_seen, second.rows_seen, first.correlation)
 
     def _apart(self, members: Sequence[Member]) -> tuple[float, str]:
         """Most sigmas between answers of two that leave one instrument out each, and the sentence that names these."""

@@ -53,13 +53,12 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     if fit is None:
         return judged(log, Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure))
     (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
-    findings = findings._replace(doubts=(*findings.doubts, *moved))
     evidence = Evidence(
         fit.found.rows,
         refused,
         {one.name: one.supported for one in answers if one.name in names},
         None,
-        findings=findings,
+        findings=findings.plus(doubts=moved),
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )

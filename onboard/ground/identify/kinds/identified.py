@@ -49,8 +49,7 @@ def standings(answers: Iterable[QuantityEstimate], useful: Useful) -> dict[str, 
 class RunAnswer(NamedTuple):
     """A run of parabolic flights, and what it says by itself."""
 
-    parabola: int  # its number, from 0
-    cut: dict[str, Any]  # release, catch, bumps, motions
+    cut: dict[str, Any]  # its parabola, release, catch, bumps, motions
     state: str  # "identified", "pooled" (it determines too little by itself), "refused"
     reason: str
     answers: tuple[QuantityEstimate, ...]

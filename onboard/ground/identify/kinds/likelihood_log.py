@@ -132,15 +132,11 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     names = _names(kept)
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
-    of_payload = body_answers(names, *body, found.wider, found.bound)
-    of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
+    of_payload = [*body_answers(names, *body, found.wider, found.bound)]
     if found.outer is not None:
-        ends = (found.wider**0.5 * found.outer).T.tolist()
-        of_payload = tuple(
-            one._replace(own_outer=(one.value + low, one.value + high))
-            for one, (low, high) in zip(of_payload, ends, strict=True)
-        )
-    answers = (*of_payload, *found.further)
+        ends = zip(of_payload, (found.wider**0.5 * found.outer).T.tolist(), strict=True)
+        of_payload = [one._replace(own_outer=(one.value + low, one.value + high)) for one, (low, high) in ends]
+    answers = (*(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True)), *found.further)
     if found.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
     residual = kept.refused.get("residual", 0)
