@@ -113,5 +113,4 @@ def _with_drives(vehicle: "config.Vehicle", arguments: argparse.Namespace) -> "c
         )
         return None
     common.complain("the preflight is not green: the flight begins, and the arm is not driven")
-    off = drive.model_copy(update={"armed": False})
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"drive": off})})
+    return vehicle.with_sections(drive=drive.model_copy(update={"armed": False}))

@@ -292,12 +292,15 @@ class Vehicle(BaseModel):
         """Nominal rate of a device's samples."""
         return self.file.device[device].rate_on(self)
 
+    def with_sections(self, **sections: object) -> "Vehicle":
+        """The same vehicle with other sections of its file, by their names; they are not checked again."""
+        return self.model_copy(update={"file": self.file.model_copy(update=sections)})
+
     def with_row_rate(self, rate_Hz: float) -> "Vehicle":
         """The same vehicle with other ticks: a tick's mean has as many more samples, and the same information."""
-        settings = self.file.estimation.model_copy(update={"row_rate_hz": rate_Hz})
-        return self.model_copy(update={"file": self.file.model_copy(update={"estimation": settings})})
+        return self.with_sections(estimation=self.file.estimation.model_copy(update={"row_rate_hz": rate_Hz}))
 
     def with_urls(self, urls: dict[str, str]) -> "Vehicle":
         """The same vehicle with other bus URLs."""
         buses = {name: BusSection(url=urls.get(name, bus.url)) for name, bus in self.file.bus.items()}
-        return self.model_copy(update={"file": self.file.model_copy(update={"bus": buses})})
+        return self.with_sections(bus=buses)

@@ -47,7 +47,7 @@ def only(vehicle: config.Vehicle, devices: Iterable[str]) -> config.Vehicle:
         for name, device in on_bus.items()
         if name in wanted or device.sync_line(name) is not None or (device.records == CAN_SYNC and device.bus in buses)
     }
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"device": kept})})
+    return vehicle.with_sections(device=kept)
 
 
 def on_simulated(vehicle: config.Vehicle, urls: dict[str, str]) -> config.Vehicle:

@@ -6,26 +6,14 @@ are significant. Here the criterion is a test of each parameter against zero at 
 on the precision of the best-known parameter.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import HALF
 
 
-class Essential(NamedTuple):
-    """Essential parameters and their estimate without the others."""
-
-    kept: NDArray[np.bool_]  # (p,)
-    order: tuple[int, ...]  # those left out, the worst known first
-    mean: FloatArray  # (p,) zero for those left out
-    sigma: FloatArray  # (p,) zero for those left out
-
-
-def essential(mean: FloatArray, covariance: FloatArray) -> Essential:
-    """Removes parameters one by one, largest relative sigma first (Pham and Gautier 1991).
+def essential(mean: FloatArray, covariance: FloatArray) -> BoolArray:
+    """Those left when parameters are removed one by one, largest relative sigma first (Pham and Gautier 1991), (p,).
 
     Removing one is conditioning the Gaussian estimate on its being zero, which needs no data rows.
 
@@ -35,7 +23,6 @@ def essential(mean: FloatArray, covariance: FloatArray) -> Essential:
     """
     x, C = mean.astype(np.float64), covariance.astype(np.float64)
     kept = np.ones(x.size, np.bool_)
-    order: list[int] = []
     while (asked := np.flatnonzero(kept)).size:
         away = np.abs(x[asked]) / np.sqrt(np.diag(C)[asked])
         worst = int(asked[np.argmin(away)])
@@ -46,5 +33,4 @@ def essential(mean: FloatArray, covariance: FloatArray) -> Essential:
         C = C - np.outer(gain, C[worst])
         x[worst] = C[worst, :] = C[:, worst] = 0.0
         kept[worst] = False
-        order.append(worst)
-    return Essential(kept, tuple(order), x, np.sqrt(np.maximum(np.diag(C), 0.0)))
+    return kept

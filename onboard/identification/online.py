@@ -1,6 +1,6 @@
 """Interface of the onboard estimators."""
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
@@ -49,18 +49,3 @@ class OnlineIdentifier(Protocol):
 
     def findings(self) -> Findings:
         """Findings about the estimates that their intervals do not contain."""
-
-
-@runtime_checkable
-class Defers(Protocol):
-    """An ``OnlineIdentifier`` whose updates leave long work for later."""
-
-    def work(self) -> None:
-        """Do what the last update has left to be done, as far as the bound on a step goes; else the next one does."""
-
-
-@runtime_checkable
-class FollowsJumps(Protocol):
-    """An ``OnlineIdentifier`` that goes on after an encoder has jumped, see ``Signals.jumps``."""
-
-    follows_jumps: bool

@@ -1,8 +1,9 @@
 """Reported quantities: linear combinations of base parameters, and their estimates."""
 
+import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -23,6 +24,7 @@ BODY_UNITS = ("kg", *["m"] * 3, *["kg m^2"] * 6)
 
 Numbers = TypeVar("Numbers", float, FloatArray)
 
+_IN_JSON = ("name", "unit", "value", "sigma", "low", "high", "supported", "bound", "leans")
 MOST_ALSO = 6  # quantities of an Estimate that are not asked for
 # A quantity is reported when the data determine it:
 SUPPORTED_SHRINKAGE = 0.2
@@ -64,30 +66,37 @@ def outer_of(mean: Numbers, low: Numbers, high: Numbers) -> tuple[Numbers, Numbe
 
 
 class QuantityEstimate(NamedTuple):
-    """A quantity with its interval; NaN where the data do not support it."""
+    """A quantity with its interval; numbers are NaN where the data do not support it."""
 
     name: str
     unit: str
-    mean: float
+    value: float
     sigma: float
     low: float
     high: float
-    shrinkage: float  # posterior sigma over prior sigma
     supported: bool
-    note: str
-    drawn: float = 0.0  # part of sigma that comes from the drawing's tolerances
-    leans: str = ""  # calibrations that no instrument checks, with their stated sigmas
+    bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
+    leans: str = ""  # on which stated sigmas, where these make up a good part of its own
     own_outer: tuple[float, float] | None = None  # ends of the 99.9 % interval, where it is not that of a normal
+    shrinkage: float = math.nan  # posterior sigma over prior sigma
+    note: str = ""
+    drawn: float = 0.0  # part of sigma that comes from the drawing's tolerances
 
     @property
     def half(self) -> float:
         """The longer side of its interval."""
-        return max(self.high - self.mean, self.mean - self.low)
+        return max(self.high - self.value, self.value - self.low)
 
     @property
     def outer(self) -> tuple[float, float]:
         """Ends of its 99.9 % interval."""
-        return outer_of(self.mean, self.low, self.high) if self.own_outer is None else self.own_outer
+        return outer_of(self.value, self.low, self.high) if self.own_outer is None else self.own_outer
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values of an answer of ``heft identify``, None for NaN."""
+        low, high = self.outer
+        told = {key: getattr(self, key) for key in _IN_JSON} | {"low_999": low, "high_999": high}
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
 
 
 class Findings(NamedTuple):

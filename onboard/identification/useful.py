@@ -42,21 +42,21 @@ def sizes(quantities: Iterable[QuantityEstimate], useful: Useful) -> dict[str, S
     """By name, of the quantities that have one."""
     told = {one.name: one for one in quantities if one.supported}
     found = {
-        name: Size(one.mean, useful.mass if one.unit == "kg" else useful.moment, "it")
+        name: Size(one.value, useful.mass if one.unit == "kg" else useful.moment, "it")
         for name, one in told.items()
         if is_positive(name, one.unit)
     }
     for name in [name for name in told if name.startswith(f"{BODY[0]}_")]:
         body = name.removeprefix(BODY[0])
         of = {kind: told.get(kind + body) for kind in BODY}
-        moments = [one.mean for kind in _MOMENTS if (one := of[kind]) is not None]
+        moments = [one.value for kind in _MOMENTS if (one := of[kind]) is not None]
         if not moments:
             continue
         for kind in _PRODUCTS:
             found[kind + body] = Size(max(moments), useful.product, "its largest moment")
-        centre = [one.mean for kind in _CENTRE if (one := of[kind]) is not None]
-        if len(moments) == 3 and sum(moments) > 0.0 < told[name].mean:
-            size = float(np.sqrt(np.dot(centre, centre) + sum(moments) / 2.0 / told[name].mean))
+        centre = [one.value for kind in _CENTRE if (one := of[kind]) is not None]
+        if len(moments) == 3 and sum(moments) > 0.0 < told[name].value:
+            size = float(np.sqrt(np.dot(centre, centre) + sum(moments) / 2.0 / told[name].value))
             for kind in _CENTRE:
                 found[kind + body] = Size(size, useful.centre, "the body's size")
     return found

@@ -53,7 +53,7 @@ def test_it_moves_as_in_mujoco(frequency_Hz, step_s, seconds, at_least_rad, rad_
     predictor = predictor_of(springs)
     x = np.zeros(len(predictor.names))
     x[PAYLOAD] = standard_of(RigidBody(BOX.mass_kg, np.array(BOX.centre_of_mass_m), np.array(BOX.inertia_kg_m2)))
-    x[RATE] = predictor.rate_in_base(shown[0, :3])
+    x[RATE] = predictor.imus[0].R_BS @ shown[0, :3]
     largest, compared = 0.0, 0
     for first in range(0, len(shown) - TICKS - 2, TICKS):  # the state is carried on, nothing corrects it
         found = predictor.predict(*(part[first : first + TICKS + 2] for part in motion), x)

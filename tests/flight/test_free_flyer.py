@@ -188,7 +188,7 @@ def test_what_the_data_do_not_determine_is_not_supported(vehicle):
         ekf.covariance = ekf.covariance.copy()
         ekf.covariance[3:13, 3:13] = np.diag(sigma**2)
         found = online.estimate().quantities
-        assert all(np.isfinite([q.mean, q.sigma, q.low, q.high]).all() == q.supported for q in found)
+        assert all(np.isfinite([q.value, q.sigma, q.low, q.high]).all() == q.supported for q in found)
         assert all((q.note == "") == q.supported for q in found)
         return [q.supported for q in found]
 

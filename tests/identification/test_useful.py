@@ -16,7 +16,7 @@ def body(halves: dict[str, float], untold: tuple[str, ...] = ()) -> list[Quantit
     for name, unit, value in zip(BODY, BODY_UNITS, VALUES, strict=True):
         half = halves.get(name, 0.01 * abs(value))
         numbers = value, half / 2.0, value - half, value + half
-        found.append(QuantityEstimate(f"{name}_box", unit, *numbers, 0.01, name not in untold, ""))
+        found.append(QuantityEstimate(f"{name}_box", unit, *numbers, name not in untold, shrinkage=0.01))
     return found
 
 

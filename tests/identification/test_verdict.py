@@ -176,7 +176,7 @@ def test_corrections_within_their_sigmas_are_no_reason():
 
 
 def quantity(mean, half, name="m_payload", unit="kg", supported=True):
-    return QuantityEstimate(name, unit, mean, half / 2, mean - half, mean + half, 0.01, supported, "a note")
+    return QuantityEstimate(name, unit, mean, half / 2, mean - half, mean + half, supported, note="a note")
 
 
 @pytest.mark.parametrize(
@@ -227,12 +227,12 @@ def rows(rng, identifier, n, truth, noise):
 def test_the_halves_are_predicted_as_brute_force_predicts_them(rng, identifier):
     truth = rng.normal(size=len(identifier.base.names))
     t, held, Y, y, sigma = rows(rng, identifier, 20_000, truth, 0.3)  # 400 blocks, so that they have been merged
-    seen = RowBlocks(truth.size, 0.5, ("cell",))
+    seen = identifier.seen = RowBlocks(truth.size, 0.5, ("cell",))
     for part in np.array_split(np.arange(t.size), 37):
         seen.add(t[part], held[part], np.zeros(part.size, np.intp), Y[part], y[part], sigma[part], sigma[part], None)
         identifier.rls.update(Y[part], y[part], sigma[part])
         identifier.recursion.blocks.add(t[part], Y[part], y[part], sigma[part])
-    found = held_out(seen, identifier)
+    found = held_out(identifier)
     first = t < t[t.size // 2]
     information, right = identifier.rls.prior_equations()
     for prediction, train in ((found.later, first), (found.earlier, ~first)):
@@ -251,10 +251,10 @@ def test_another_body_in_the_second_half_is_seen_there_and_only_there(rng, ident
     truth = rng.normal(size=len(identifier.base.names))
     t, held, Y, y, sigma = rows(rng, identifier, 2000, truth, 0.01)
     y[1000:] += Y[1000:] @ rng.normal(size=truth.size)
-    seen = RowBlocks(truth.size, 0.5, ("cell",))
+    seen = identifier.seen = RowBlocks(truth.size, 0.5, ("cell",))
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
     identifier.rls.update(Y, y, sigma)
-    assert held_out(seen, identifier).worst.relative_error > 0.5
+    assert held_out(identifier).worst.relative_error > 0.5
 
 
 def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
@@ -265,9 +265,9 @@ def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
     doubt = np.repeat(np.eye(truth.size)[None], t.size, axis=0)
     told = {}
     for name, noise in (("corrected", doubt), ("plain", None)):
-        seen = RowBlocks(truth.size, 10.0, ("cell",))
+        seen = identifier.seen = RowBlocks(truth.size, 10.0, ("cell",))
         seen.add(t, held, np.zeros(t.size, np.intp), noisy, y, sigma, sigma, noise)
-        told[name] = held_out(seen, identifier).later.misfit
+        told[name] = held_out(identifier).later.misfit
     expected = truth.size / 0.01  # all of the noise, where the parameters are the true ones
     assert told["corrected"] == pytest.approx(expected, rel=0.1)
     assert told["plain"] == pytest.approx(0.5 * expected, rel=0.1)
@@ -275,11 +275,11 @@ def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):
 
 def test_one_block_cannot_be_halved(rng, identifier):
     truth = rng.normal(size=len(identifier.base.names))
-    seen = RowBlocks(truth.size, 50.0, ("cell",))
-    assert held_out(seen, identifier) is None
+    seen = identifier.seen = RowBlocks(truth.size, 50.0, ("cell",))
+    assert held_out(identifier) is None
     t, held, *rest = rows(rng, identifier, 100, truth, 0.1)
     seen.add(t, held, np.zeros(t.size, np.intp), *rest, rest[-1], None)
-    assert held_out(seen, identifier) is None
+    assert held_out(identifier) is None
 
 
 def test_directions_that_no_row_shows_are_named(rng):

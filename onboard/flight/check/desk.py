@@ -92,7 +92,7 @@ def alone(vehicle: config.Vehicle, names: Collection[str]) -> config.Vehicle:
     buses |= {one.bus for name, one in device.items() if isinstance(one, BusDevice) and one.sync_line(name) is not None}
     kept = {name: one for name, one in device.items() if isinstance(one, BusDevice) and one.bus in buses}
     bus = {name: url for name, url in vehicle.file.bus.items() if name in buses}
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"bus": bus, "device": kept})})
+    return vehicle.with_sections(bus=bus, device=kept)
 
 
 def desk_tests(

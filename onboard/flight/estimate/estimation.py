@@ -22,7 +22,7 @@ from onboard.flight.estimate.hand_over import HandOver
 from onboard.flight.estimate.shedding import LATE_NS, to_skip_ns
 from onboard.flight.estimate.state import StateError, UnwrittenParts
 from onboard.flight.store import rings
-from onboard.identification.online import Defers
+from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.quantities import MOST_ALSO
 from onboard.ring import RingReader, RingWriter
 
@@ -155,7 +155,7 @@ class EstimationWorker:
         self._publisher.publish(made)
         if self._hand_over is not None:
             self._publisher.publish(self._hand_over.step(now_ns, made))
-        if isinstance(self.estimator.online, Defers):
+        if isinstance(self.estimator.online, MotionIdentifier):
             self.estimator.online.work()
 
     def _read(self, name: str, until_ns: int | None) -> tuple[Rows, int]:

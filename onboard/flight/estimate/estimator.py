@@ -29,11 +29,10 @@ from onboard.flight.estimate.readings.torques import TorqueLines
 from onboard.flight.estimate.readings.tracked import TrackedTicks
 from onboard.flight.estimate.readings.witness import RateWitness
 from onboard.flight.estimate.readings.zeroing import Temperatures, Zeroing
-from onboard.identification.free_flyer.online import MotionIdentifier
-from onboard.identification.online import FollowsJumps, OnlineIdentifier
+from onboard.identification.free_flyer.online import MotionIdentifier, TickIdentifier
+from onboard.identification.online import OnlineIdentifier
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.table.run import TableRun
 from onboard.regressor.friction import CoulombFriction
 from onboard.regressor.rows import BaseMotion, base_motion, standing
 from onboard.regressor.signals import OfSamples, SignalNoise, Signals, noise_of_joints
@@ -93,9 +92,9 @@ class Estimator:
         roles = roles_of(vehicle)
         self._imu = roles.imu if roles.imus else None  # a fixed base needs none
         self._temperatures = Temperatures(self._imu)
-        further = self.online.further if isinstance(self.online, MotionIdentifier | TableRun) else ()
+        further = self.online.further if isinstance(self.online, TickIdentifier) else ()
+        follows = isinstance(self.online, TickIdentifier) and self.online.follows_jumps
         seen = [one for one in roles.trackers if one.channel in {own.name for own in further}]
-        follows = isinstance(self.online, FollowsJumps)
         self._signals = SignalSmoother(vehicle, trackers=seen, follows_jumps=follows)
         self._further, self._tracked = channels_of(roles, further), [TrackedTicks(one, self._period_ns) for one in seen]
         self._torques = TorqueLines.of(roles, self.model, self.online.row_names)

@@ -27,7 +27,7 @@ from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
+from onboard.ground.identify.kinds.identified import Identified, judged, standings
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
@@ -38,7 +38,7 @@ from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, fed, feed_rows
 from onboard.identification.essential import essential
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
 from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
@@ -111,7 +111,7 @@ def by_method(vehicle: config.Vehicle, method: str) -> config.Vehicle:
         ConfigError: its file lacks settings for it.
     """
     settings = vehicle.file.estimation.model_copy(update={"method": method})
-    other = vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    other = vehicle.with_sections(estimation=settings)
     check(other)
     if not settings.predicts and not (settings.base_rows or roles_of(other).cells):
         raise config.ConfigError(f"{vehicle.path}: there are no rows; give base_rows in [estimation], or a load cell")
@@ -203,8 +203,8 @@ def _one(
     if last is None:
         nothing = Evidence(who.rows_used, refused, dict.fromkeys(names, False), None)
         return judged(log, nothing, method=method, throw=thrown)
-    held, estimate, findings = held_out(who.seen, who), online.estimate(), online.findings()
-    answers, principal, drawing = _answers(last, who), list[IdentifiedQuantity](), tuple[FittedLink, ...]()
+    held, estimate, findings = held_out(who), online.estimate(), online.findings()
+    answers, principal, drawing = _answers(last, who), list[QuantityEstimate](), tuple[FittedLink, ...]()
     if thrown is not None:  # few independent blocks of time give a wide interval, which is valid
         told = {q.name: q.shrinkage <= SUPPORTED_SHRINKAGE for q in estimate.quantities}
         links, principal = tuple(filter(None, [thrown.whole])), _principal(thrown)
@@ -249,12 +249,12 @@ def _one(
     return with_mistake(vehicle, log, found)
 
 
-def _principal(thrown: throws.Throw) -> list[IdentifiedQuantity]:
+def _principal(thrown: throws.Throw) -> list[QuantityEstimate]:
     """Principal moments of a throw's load."""
     if thrown.principal is None:
         return []
     rows = zip(_PRINCIPAL, *(part.tolist() for part in thrown.principal), strict=True)
-    return [IdentifiedQuantity(name, "kg m^2", value, sigma, low, high, True) for name, value, sigma, low, high in rows]
+    return [QuantityEstimate(name, "kg m^2", value, sigma, low, high, True) for name, value, sigma, low, high in rows]
 
 
 def _no_payload(who: Identifier, estimate: Estimate) -> str:
@@ -269,7 +269,7 @@ def _essential(who: Identifier, estimate: Estimate) -> tuple[str, ...]:
     if not told.size:
         return ()
     jackknife = who.block_jackknife()
-    kept = essential(jackknife.mean[told], jackknife.covariance[np.ix_(told, told)]).kept
+    kept = essential(jackknife.mean[told], jackknife.covariance[np.ix_(told, told)])
     return tuple(estimate.names[k] for k in told[kept])
 
 
@@ -283,7 +283,7 @@ def _asked_names(vehicle: config.Vehicle, who: Identifier) -> list[str]:
     return own or names
 
 
-def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
+def _answers(rows: Rows, who: Identifier) -> tuple[QuantityEstimate, ...]:
     """The last QUANTITY rows, with the bound of each; of a payload that is a body, not its base parameters."""
     link, held = who.model.vehicle.spec.payload_link, who.payload is not None
     told = held and any(printable(row["name"]) == f"m_{link}" and row["supported"] for row in rows)
@@ -295,7 +295,7 @@ def _answers(rows: Rows, who: Identifier) -> tuple[IdentifiedQuantity, ...]:
             unit = printable(row["unit"]) or ("kg" if name in (f"M_{link}", f"M_{link}_R") else "")
             value, sigma, low, high = (float(row[key]) for key in ("value", "sigma", "low", "high"))
             supported = bool(row["supported"])
-            found.append(IdentifiedQuantity(name, unit, value, sigma, low, high, supported, float(bound)))
+            found.append(QuantityEstimate(name, unit, value, sigma, low, high, supported, float(bound)))
     return tuple(found)
 
 

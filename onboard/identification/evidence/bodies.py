@@ -27,12 +27,7 @@ def ways(chi: FloatArray, half: FloatArray) -> tuple[FloatArray, ...]:
     changes = np.column_stack([chi, of_mass(chi), of_centre(chi)])
     along = np.asarray(LIKELY_SIZE * np.linalg.solve(half, changes), np.float64)
     both, mass, centre = along[:, :1], along[:, 1:2], along[:, 2:]
-    return both, mass, both - mass, centre, in_every_way(both)
-
-
-def in_every_way(factor: FloatArray) -> FloatArray:
-    """A body's parameters by one factor, (10, 1), and each by itself, (10, 11)."""
-    return np.hstack([factor, EACH * np.eye(len(factor))])
+    return both, mass, both - mass, centre, np.hstack([both, EACH * np.eye(len(both))])
 
 
 def of_mass(chi: FloatArray) -> FloatArray:

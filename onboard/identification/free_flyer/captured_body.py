@@ -107,21 +107,16 @@ class CapturedBody:
             return _unknown("nothing is held")
         if self._told is None or not known:
             return _unknown(self._failure if known and self._failure else "the payload is not known")
-        values = np.concatenate([self._told.velocity_m_s, self._told.rate_rad_s])
-        shrinkage = self._told.sigma / _EXPECTED
+        values = np.concatenate([self._told.velocity_m_s, self._told.rate_rad_s]).tolist()
+        sigmas, shares = self._told.sigma.tolist(), (self._told.sigma / _EXPECTED).tolist()
         found = []
-        for name, unit, value, sigma, share in zip(NAMES, UNITS, values, self._told.sigma, shrinkage, strict=True):
+        for name, unit, value, sigma, share in zip(NAMES, UNITS, values, sigmas, shares, strict=True):
             if share <= SUPPORTED_SHRINKAGE:
-                told = float(value), float(sigma), float(value - HALF * sigma), float(value + HALF * sigma)
-                found.append(QuantityEstimate(name, unit, *told, float(share), True, ""))
+                told = name, unit, value, sigma, value - HALF * sigma, value + HALF * sigma
+                found.append(QuantityEstimate(*told, supported=True, shrinkage=share))
             else:
-                found.append(
-                    _untold(
-                        name,
-                        unit,
-                        f"known to {sigma:.2g} {unit} only: momentum and time of the contact determine no more",
-                    )
-                )
+                why = f"known to {sigma:.2g} {unit} only: momentum and time of the contact determine no more"
+                found.append(_untold(name, unit, why))
         return tuple(found)
 
     @property
@@ -188,4 +183,4 @@ def _unknown(why: str) -> tuple[QuantityEstimate, ...]:
 
 
 def _untold(name: str, unit: str, why: str) -> QuantityEstimate:
-    return QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, np.nan, False, why)
+    return QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, False, note=why)

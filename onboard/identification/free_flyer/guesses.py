@@ -70,7 +70,7 @@ def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: in
     seen = np.isfinite(some.measured[1:-1, rate]).all(axis=1)
     if not seen.any():
         return np.zeros(3)
-    state[RATE] = predictor.rate_in_base(some.measured[1:-1, rate][seen].mean(axis=0), imu)
+    state[RATE] = predictor.imus[imu].R_BS @ some.measured[1:-1, rate][seen].mean(axis=0)
     predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
     gap = some.measured[1:-1, rate] - predicted.values[:, rate]
     J = predicted.jacobian[seen, rate, RATE].reshape(-1, 3)

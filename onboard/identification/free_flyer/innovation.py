@@ -195,7 +195,7 @@ class Innovations:
         if (refused := fusion.refused) is not None:
             misled = refused.instrument in fusion.imus and self.misled(state)
             return refused._replace(batches=0) if misled else refused
-        stated, too_far = stated_after(predictor, fusion.running_s), self._rivals.too_far(state, covariance)
+        stated, too_far = stated_after(predictor, fusion.running_s), self._rivals.weighed(state, covariance).too_far
         for k, own in enumerate(self._alone):
             if k in fusion.left_out or fusion.imus == [k]:
                 continue

@@ -29,7 +29,7 @@ from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY
 from onboard.identification.free_flyer.prediction.ticks import Ticks, gated, ticks_of
 from onboard.identification.free_flyer.recursion.bounded_work import last_work
 from onboard.identification.free_flyer.recursion.lines import RECENT_s
-from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter
+from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter, feed_filter
 from onboard.identification.free_flyer.recursion.solved import SOLVED_AT_s
 from onboard.identification.leaning import Causes
 from onboard.identification.quantities import (
@@ -69,10 +69,31 @@ def keys_of(predictor: ImuPredictor) -> tuple[str, ...]:
     return tuple("" if k in varying else predictor.key_of(name) for k, name in enumerate(predictor.names))
 
 
-class MotionIdentifier:
-    """The filter of predicted motion. Its rows are the lines of the base IMU, further IMUs and load cells.
+class TickIdentifier:
+    """What onboard estimators of a tick's means have in common: rows are the lines of the base IMU and of others.
 
-    All are means over each tick.
+    Args:
+        payload: link that the parameters are of.
+        further: instruments besides the base IMU.
+        quantities: what is answered of the link, as in :data:`BODY`.
+
+    Attributes:
+        follows_jumps: goes on after an encoder has jumped, see ``Signals.jumps``.
+    """
+
+    follows_jumps = False
+
+    def __init__(self, payload: str, further: Sequence[Further] = (), quantities: Sequence[str] = ()) -> None:
+        self.further = tuple(further)
+        self.row_names = rows_of(self.further)
+        self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
+        self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in quantities)
+        self.rows_used = 0
+        self.refused = none_refused()
+
+
+class MotionIdentifier(TickIdentifier):
+    """The filter of predicted motion. Its rows are the lines of the base IMU, further IMUs and load cells.
 
     A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
     of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
@@ -85,14 +106,8 @@ class MotionIdentifier:
     follows_jumps = True
 
     def __init__(self, ekf: MotionFilter) -> None:
+        super().__init__(str(ekf.predictor.vehicle.spec.payload_link), ekf.predictor.further, BODY)
         self.ekf = ekf
-        payload = ekf.predictor.vehicle.spec.payload_link
-        self.further = ekf.predictor.further
-        self.row_names = rows_of(self.further)
-        self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
-        self.quantity_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in BODY)
-        self.rows_used = 0
-        self.refused = none_refused()
         self._captured = CapturedBody(ekf)
         self._causes = Causes(keys_of(ekf.predictor), ekf.predictor.sigma, [NOISE_KEY])
         self._corrections = HeldAgainst(ekf.predictor, ekf.fusion, ekf.rivals.spanned)
@@ -121,19 +136,8 @@ class MotionIdentifier:
         if n:
             self._newest_s = float(signals.time_s[-1])
             self._taken_s = float(signals.time_s[(found == 0).any(axis=1)].max(initial=self._taken_s))
-        first, glitches = 0, self.ekf.glitches
-        of_jumps = [int(np.searchsorted(signals.time_s, 1e-9 * jump.vehicle_ns)) for _, jump in signals.jumps]
-        for last in sorted({*(np.flatnonzero(np.diff(attached)) + 1).tolist(), *of_jumps, n} - ({0} if n else set())):
-            for at, told in zip(of_jumps, signals.jumps, strict=True):
-                if at == first:
-                    self.ekf.jumped(*told)
-            held = bool(attached[first]) if n else self._attached
-            if n and self._attached is not None and held != self._attached:
-                self.ekf.announce(bool(held), float(signals.time_s[first]))
-            self._attached = held
-            self.ekf.take(Ticks(*(x[first:last] for x in ticks)))
-            first = last
-        self._mixed = None
+        glitches, self._mixed = self.ekf.glitches, None
+        self._attached = feed_filter(self.ekf, ticks, attached, signals.jumps, self._attached, self.ekf.take)
         self._tell_of_capture(ticks)
         count_refused(self.refused, found)
         self._count(glitches)
@@ -145,7 +149,7 @@ class MotionIdentifier:
         return [told.popleft() for _ in range(len(told))]
 
     def work(self) -> None:
-        """Solves a window as far as the bound goes; see ``Defers``."""
+        """Solves a window that the last update has left to be solved, as far as the bound on a step goes."""
         glitches, self._mixed = self.ekf.glitches, None
         self.ekf.work()
         self._count(glitches)
@@ -209,8 +213,9 @@ class MotionIdentifier:
         for k, name in enumerate(self.quantity_names):
             numbers = np.array([body[k], spread[k], *ends[:, k]]) if fine[k] else np.full(6, np.nan)
             value, around, low, high, lowest, highest = numbers.tolist()
-            told = value, around, low, high, float(shrinkage[k]), bool(fine[k]), "" if fine[k] else note
-            quantities.append(QuantityEstimate(name, BODY_UNITS[k], *told, leans=leans[k], own_outer=(lowest, highest)))
+            told = name, BODY_UNITS[k], value, around, low, high, bool(fine[k])
+            more = leans[k], (lowest, highest), float(shrinkage[k]), "" if fine[k] else note
+            quantities.append(QuantityEstimate(*told, np.nan, *more))
         supported = sigma <= SUPPORTED_SHRINKAGE * ekf.payload_sigma
         return Estimate(
             self.parameter_names,

@@ -149,7 +149,7 @@ class Rivals:
         """Free suspects; what that makes of a prior."""
         before = self.freed
         self.freed, self._of = now, _ = tuple(sorted({*before, *numbers})), None
-        return partial(self._free, before=before, now=now) if now != before else _as_it_is
+        return partial(self._free, before=before, now=now) if now != before else lambda known: known
 
     def wrong(
         self, known: Known, inside: Changed, *, changed: bool, payload: bool = True
@@ -245,10 +245,6 @@ class Rivals:
             self._weighed = self._bank.weigh(self.stated(known), alone, beyond)
         return self._weighed
 
-    def too_far(self, state: FloatArray, covariance: FloatArray) -> str:
-        """What is likeliest wrong, if it is farther off than any error of the bank; else empty."""
-        return self.weighed(state, covariance).too_far
-
     def freeing(
         self, state: FloatArray, covariance: FloatArray, *, held: bool = True
     ) -> Callable[[Known], Known] | None:
@@ -278,10 +274,6 @@ class Rivals:
 def counting(weighed: Weighed) -> tuple[int, ...]:
     """Numbers of all suspects that count."""
     return tuple(k for one in weighed.likely for k in one.numbers)
-
-
-def _as_it_is(known: Known) -> Known:
-    return known
 
 
 def suspects_of(predictor: ImuPredictor) -> list[Suspect]:

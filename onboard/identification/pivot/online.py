@@ -151,14 +151,12 @@ class PivotRun(TableRun):
             numbers[:, 1:] = [body, own, body - HALF * own, body + HALF * own, own / prior]
         supported = np.asarray(numbers[4] <= SUPPORTED_SHRINKAGE, np.bool_)
         note = self.failure or "not determined by the data so far"
-        made = [
-            QuantityEstimate(name, unit, *one, bool(one[4] <= SUPPORTED_SHRINKAGE), note, leans=lean)
-            for name, unit, one, lean in zip(self.quantity_names, self._units, quantities, leans, strict=True)
-        ]
-        mean, sigma, low, high = numbers[:4]
-        return Estimate(
-            self.parameter_names, mean, sigma, low, high, supported, tuple(made), self.rows_used, dict(self.refused)
-        )
+        made, each = list[QuantityEstimate](), zip(self.quantity_names, self._units, quantities, leans, strict=True)
+        for name, unit, (value, spread, low, high, s), lean in each:
+            told = name, unit, value, spread, low, high, s <= SUPPORTED_SHRINKAGE
+            made.append(QuantityEstimate(*told, leans=lean, shrinkage=s, note=note))
+        known = numbers[0], numbers[1], numbers[2], numbers[3], supported
+        return Estimate(self.parameter_names, *known, tuple(made), self.rows_used, dict(self.refused))
 
     def budget(self) -> dict[str, tuple[Contribution, ...]]:
         """What the sigma of each quantity is made of, by its name; empty before there is a fit."""

@@ -93,7 +93,7 @@ class GraspedPayload:
                 why = f"{mass}: a recording without it comes first, and signs are those of what holds the links"
         if why:
             return tuple(
-                QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, float(s), False, why)
+                QuantityEstimate(name, unit, np.nan, np.nan, np.nan, np.nan, False, shrinkage=float(s), note=why)
                 for name, unit, s in zip(self.names, BODY_UNITS, shrinkage, strict=True)
             )
         weak[4:] |= weak[1:4].any()
@@ -111,11 +111,9 @@ class GraspedPayload:
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]
         return tuple(
-            QuantityEstimate(
-                name, unit, float(of[0]), float(of[1]), float(of[2]), float(of[3]), float(s), not lost, note
-            )
+            QuantityEstimate(name, unit, of[0], of[1], of[2], of[3], not lost, shrinkage=float(s), note=note)
             for name, unit, of, s, lost, note in zip(
-                self.names, BODY_UNITS, numbers, shrinkage, weak, said, strict=True
+                self.names, BODY_UNITS, numbers.tolist(), shrinkage, weak, said, strict=True
             )
         )
 

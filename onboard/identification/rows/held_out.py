@@ -29,14 +29,9 @@ class HeldOut(NamedTuple):
         return max(self.later, self.earlier)
 
 
-def held_out(blocks: RowBlocks, identifier: Identifier) -> HeldOut | None:
-    """Two-fold cross-validation by halves of time; None with too few blocks to halve.
-
-    Args:
-        blocks: the rows that were used.
-        identifier: that used them: its prior, and its estimate of all of them.
-    """
-    found = halves(blocks, identifier)
+def held_out(identifier: Identifier) -> HeldOut | None:
+    """Two-fold cross-validation of its rows by halves of time; None with too few blocks to halve."""
+    found = halves(identifier)
     if found is None:
         return None
     earlier, later = found
@@ -58,9 +53,9 @@ class Half(NamedTuple):
     mean: FloatArray  # base parameters by these rows and the prior, (p,)
 
 
-def halves(blocks: RowBlocks, identifier: Identifier) -> tuple[Half, Half] | None:
-    """The earlier and the later half of the rows, as :func:`held_out` takes them; None with too few blocks to halve."""
-    parts = [_half(blocks, later) for later in (False, True)]
+def halves(identifier: Identifier) -> tuple[Half, Half] | None:
+    """The earlier and the later half of its rows; None with too few blocks to halve."""
+    parts = [_half(identifier.seen, later) for later in (False, True)]
     earlier, later = (None if part is None else Half(part[0], _solved(*part, identifier)) for part in parts)
     return None if earlier is None or later is None else (earlier, later)
 

@@ -229,7 +229,8 @@ class Hypotheses:
         told, evidence = [member for member in findings if not member.still_held], list[tuple[float, bool]]()
         for member in told:
             held = member._replace(still_held=True)
-            better = self._nats(member, held)
+            as_told, as_held = self._members[member], self._members[held]
+            better = nats(as_told.rows_seen, as_held.rows_seen, as_told.correlation)
             likelier = member if better > 0.0 else held
             evidence.append((better, len(told) == 1 or self._is_clean(likelier, findings[likelier])))
         accepted = has_happened(evidence)
@@ -248,11 +249,6 @@ class Hypotheses:
         if not accepted:
             self._contradiction, self._mixed = "", {}  # they were of answers that took the release for true
 
-    def _nats(self, one: Member, other: Member) -> float:
-        """Log of the evidence for one over that for another."""
-        first, second = self._members[one], self._members[other]
-        return nats(first.rows_seen, second.rows_seen, first.correlation)
-
     def _apart(self, members: Sequence[Member]) -> tuple[float, str]:
         """Most sigmas between answers of two that leave one instrument out each, and the sentence that names these."""
         estimates = {one: self._members[one].stated_estimate() for one in members if not one.still_held}
@@ -260,10 +256,10 @@ class Hypotheses:
         for k, (one, first) in enumerate(estimates.items()):
             for other, second in list(estimates.items())[k + 1 :]:
                 for a, b in zip(first.quantities, second.quantities, strict=True):
-                    sigmas = abs(a.mean - b.mean) / float(np.hypot(a.sigma, b.sigma))
+                    sigmas = abs(a.value - b.value) / float(np.hypot(a.sigma, b.sigma))
                     if a.supported and b.supported and sigmas > most[0]:
                         told = f"{one.left_out} and {other.left_out} contradict each other: {a.name} is "
-                        most = sigmas, told + f"{b.mean:.4g} or {a.mean:.4g} {a.unit}"
+                        most = sigmas, told + f"{b.value:.4g} or {a.value:.4g} {a.unit}"
         return most
 
     def _note(self, kind: str, what: str) -> None:

@@ -22,7 +22,7 @@ def mixed(estimates: Sequence[Estimate], weights: FloatArray) -> Estimate:
     first = estimates[0]
     parameters = _Mixed([(one.mean, one.low, one.high) for one in estimates], weights)
     supported = np.all([one.supported for one in estimates], axis=0)
-    columns = ("mean", "low", "high")
+    columns = ("value", "low", "high")
     numbers = [[np.array([getattr(q, name) for q in one.quantities]) for name in columns] for one in estimates]
     of_quantities = _Mixed([(mean, low, high) for mean, low, high in numbers], weights)
     quantities = [
@@ -57,4 +57,4 @@ class _Mixed:
             return least
         mean, sigma, low, high = (float(part[k]) for part in (self.mean, self.sigma, self.low, self.high))
         ends = float(self._outer[0][k]), float(self._outer[1][k])
-        return least._replace(mean=mean, sigma=sigma, low=low, high=high, own_outer=ends)
+        return least._replace(value=mean, sigma=sigma, low=low, high=high, own_outer=ends)

@@ -1,42 +1,23 @@
-"""Gates and keeps ticks that are estimated afterwards; on an air-bearing table nothing is estimated on board.
+"""Gates ticks that are estimated afterwards; on an air-bearing table nothing is estimated on board.
 
 The velocity follows from the joints only from the start of the run on, so the run is estimated in one batch afterwards
 (:mod:`onboard.identification.table.air_bearing`); so are runs between release and catch by hand
 (:mod:`onboard.ground.identify.kinds.parabolic_log`).
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from onboard.dynamics.model.vehicle import STANDARD
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.gates import ReasonArray, count_refused, none_refused
+from onboard.estimation.gates import ReasonArray, count_refused
 from onboard.identification.change import Change
-from onboard.identification.free_flyer.online import rows_of
-from onboard.identification.free_flyer.prediction.further import Further
+from onboard.identification.free_flyer.online import TickIdentifier
 from onboard.identification.free_flyer.prediction.ticks import gated
 from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 
 
-class TableRun:
-    """An :class:`onboard.identification.online.OnlineIdentifier` that gates ticks and estimates nothing.
-
-    Its rows are the six lines of the base IMU and those of further instruments, means over each tick.
-
-    Args:
-        payload: link of which nothing is known.
-        further: instruments.
-    """
-
-    def __init__(self, payload: str, further: Sequence[Further] = ()) -> None:
-        self.further = tuple(further)
-        self.row_names = rows_of(self.further)
-        self.parameter_names: tuple[str, ...] = tuple(f"{kind}_{payload}" for kind in STANDARD)
-        self.quantity_names: tuple[str, ...] = ()
-        self.rows_used = 0
-        self.refused = none_refused()
+class TableRun(TickIdentifier):
+    """An :class:`onboard.identification.online.OnlineIdentifier` that gates ticks and estimates nothing."""
 
     def update(self, signals: Signals, attached: BoolArray, excluded: ReasonArray) -> ReasonArray:
         """Gates new ticks."""

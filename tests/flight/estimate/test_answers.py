@@ -11,7 +11,7 @@ from onboard.identification.useful import Useful
 
 def why(findings: Findings) -> bytes:
     """The reason beside a mass, as it is recorded."""
-    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, True, ""), np.zeros(0)
+    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, True, shrinkage=0.1), np.zeros(0)
     estimate = Estimate((), none, none, none, none, none.astype(bool), (mass,), 10, {})
     _, rows, _ = Answers(channels.estimate_dtype(0, 0), (), Useful()).rows(0, 0, estimate, findings, np.zeros((0, 0)))
     return bytes(rows["why"][0])
@@ -27,7 +27,7 @@ def test_a_reason_that_is_longer_than_its_field_ends_between_words_and_says_so()
 
 def said(answers: Answers, supported: bool, level: Level) -> list[str]:
     """Events of a mass by its level, and whether the data determine it."""
-    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, supported, ""), np.zeros(0)
+    mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, supported, shrinkage=0.1), np.zeros(0)
     estimate = Estimate((), none, none, none, none, none.astype(bool), (mass,), 10, {})
     findings = Findings(("refused",) * (level is Level.DO_NOT_USE), ("doubted",) * (level is Level.WEAK))
     _, rows, events = answers.rows(0, 0, estimate, findings, np.zeros((0, 0)))
@@ -48,7 +48,7 @@ def test_an_answer_that_was_told_and_is_not_to_be_used_is_withdrawn_once() -> No
 
 def test_of_many_withdrawn_quantities_the_first_are_named_and_the_reason_ends_between_words() -> None:
     answers, none = Answers(channels.estimate_dtype(0, 0), (), Useful()), np.zeros(0)
-    many = tuple(QuantityEstimate(f"mass_{n}", "kg", 5.0, 0.1, 4.8, 5.2, 0.1, True, "") for n in range(10))
+    many = tuple(QuantityEstimate(f"mass_{n}", "kg", 5.0, 0.1, 4.8, 5.2, True, shrinkage=0.1) for n in range(10))
     estimate = Estimate((), none, none, none, none, none.astype(bool), many, 10, {})
     for findings in (Findings((), ()), Findings(("the load cell reads too much " * 8,), ())):
         _, _, events = answers.rows(0, 0, estimate, findings, np.zeros((0, 0)))

@@ -39,9 +39,8 @@ class MeanRate(TableRun):
         mean = float(np.mean(self.rates)) if self.rates else np.nan
         sigma = float(np.std(self.rates) / np.sqrt(len(self.rates))) if self.rates else np.nan
         half = 1.96 * sigma
-        answer = QuantityEstimate(
-            "mean_rate_x", "rad/s", mean, sigma, mean - half, mean + half, 1.0, bool(self.rates), ""
-        )
+        told = "mean_rate_x", "rad/s", mean, sigma, mean - half, mean + half, bool(self.rates)
+        answer = QuantityEstimate(*told, shrinkage=1.0)
         return super().estimate()._replace(quantities=(answer,))
 
 
@@ -66,4 +65,4 @@ def test_it_answers_from_the_flights_ticks(tmp_path: Path, monkeypatch: pytest.M
     imu = flown.log.read("imu_base")
     shown = float(np.mean(imu["gyro_raw"][:, 0] * imu["gyro_scale_rad_s"]))
     assert estimator.online.rows_used > 100
-    assert answer.mean == pytest.approx(shown, abs=5.0 * answer.sigma)
+    assert answer.value == pytest.approx(shown, abs=5.0 * answer.sigma)

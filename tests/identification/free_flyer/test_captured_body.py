@@ -48,10 +48,10 @@ def test_a_large_body_that_tumbles_is_told_with_an_interval_that_holds(seed):
     assert {one.unit for one in last[3:]} == {"rad/s"}
     assert all(one.supported for one in last[3:])
     for one, true in zip(last[3:], case.rate, strict=True):
-        assert abs(one.mean - true) < 3.3 * one.sigma < 0.2
-        assert one.high - one.mean == pytest.approx(1.96 * one.sigma, rel=1e-3)
+        assert abs(one.value - true) < 3.3 * one.sigma < 0.2
+        assert one.high - one.value == pytest.approx(1.96 * one.sigma, rel=1e-3)
     for one, true in zip(last[:3], case.velocity, strict=True):
-        assert not one.supported or abs(one.mean - true) < 3.3 * one.sigma
+        assert not one.supported or abs(one.value - true) < 3.3 * one.sigma
 
 
 def test_of_a_small_one_no_number_is_told_but_why():
@@ -59,7 +59,7 @@ def test_of_a_small_one_no_number_is_told_but_why():
     assert found[-1]
     for one in found[-1][3:]:
         assert not one.supported
-        assert np.isnan(one.mean)
+        assert np.isnan(one.value)
         assert one.note.endswith("rad/s only: momentum and time of the contact determine no more")
 
 
@@ -94,7 +94,7 @@ def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
     told = [one for one in found[-1][3:] if one.supported]
     assert told
     for one in told:
-        assert abs(one.mean - case.rate[NAMES.index(one.name) - 3]) < 3.3 * one.sigma
+        assert abs(one.value - case.rate[NAMES.index(one.name) - 3]) < 3.3 * one.sigma
     case.online.changes.append(Change("ejection", END_s, END_s, np.nan))
     body.take(case.ticks.part(slice(-2, None)))
     assert {one.note for one in body.quantities(known=True)} == {"nothing is held"}

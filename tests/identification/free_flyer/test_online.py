@@ -171,7 +171,7 @@ def test_a_payload_that_cannot_exist_is_moved_to_one_that_can_and_its_intervals_
     answers, D = unsure(mean, sigma).estimate().quantities, body_jacobian(mean)
     found = body_of(mean)
     estimated = [found.mass_kg, *found.centre_of_mass_m, *elements(found.inertia_kg_m2)]
-    moved = np.array([one.mean for one in answers]) - estimated
+    moved = np.array([one.value for one in answers]) - estimated
     assert moved[4] > 0.02
     spread = np.sqrt(D**2 @ sigma**2)
     np.testing.assert_allclose([one.sigma for one in answers], np.hypot(spread, moved))
@@ -192,7 +192,7 @@ def test_an_answer_has_the_mixtures_own_intervals_and_is_supported_by_the_wider_
     monkeypatch.setattr(MotionIdentifier, "_effects", lambda *_: np.zeros((10, 0)))
     online = unsure(mean, sigma)
     mass = online.estimate().quantities[0]
-    assert mass.mean == pytest.approx(2.001)
+    assert mass.value == pytest.approx(2.001)
     assert mass.sigma == pytest.approx(2.0 * np.sqrt(weights @ [0.01**2, 0.05**2] + 0.99 * 0.01 * 0.1**2))
     both = norm([0.0, 0.1], [0.01, 0.05])
     for end, share in zip((mass.low, mass.high, *mass.outer), (0.025, 0.975, 0.0005, 0.9995), strict=True):

@@ -156,7 +156,7 @@ def test_what_is_farther_off_than_any_error_is_not_freed_but_told(predictor: Imu
     P[at, at] = 1e-6 * P[at, at]
     for size, told in ((0.2, ""), (0.4, "imu_2")):
         rivals, x[at] = Rivals(predictor), size  # the prior hardly counts
-        assert rivals.too_far(x.copy(), P) == told
+        assert rivals.weighed(x.copy(), P).too_far == told
         assert (rivals.freeing(x.copy(), P) is None) == bool(told)
 
 

@@ -147,7 +147,7 @@ class Told(NamedTuple):
 def grasped(who):
     ten = who.estimate().quantities
     assert [one.name for one in ten] == [f"{name}_tool" for name in BODY]
-    numbers = np.array([(one.mean, one.sigma, one.low, one.high) for one in ten]).T
+    numbers = np.array([(one.value, one.sigma, one.low, one.high) for one in ten]).T
     return Told(*numbers, np.array([one.supported for one in ten]), [one.note for one in ten])
 
 

@@ -31,7 +31,7 @@ def test_masses_over_many_flights(rng):
         rocksat_flight.feed(who, signals, held, step=64)
         estimate = who.estimate()
         masses = rocksat_flight.by_name(estimate)
-        errors.append([masses[name].mean / kg - 1 for name, kg in rocksat_flight.TRUTH_KG.items()])
+        errors.append([masses[name].value / kg - 1 for name, kg in rocksat_flight.TRUTH_KG.items()])
         covered.append([masses[name].low <= kg <= masses[name].high for name, kg in rocksat_flight.TRUTH_KG.items()])
         parameters.append((estimate.low <= truth) & (truth <= estimate.high))
     p95 = np.percentile(np.abs(errors), 95, axis=0)
@@ -48,9 +48,9 @@ def test_before_the_ejection_only_the_inertia_of_both_is_told(rng):
     masses = rocksat_flight.by_name(who.estimate())
     for name in rocksat_flight.TRUTH_KG:
         assert not masses[name].supported
-        assert np.isnan([masses[name].mean, masses[name].sigma, masses[name].low, masses[name].high]).all()
+        assert np.isnan([masses[name].value, masses[name].sigma, masses[name].low, masses[name].high]).all()
         assert "not determined" in masses[name].note
-    assert masses["ZZ_joint_1_R_held"].mean == pytest.approx(3.0794e-3, rel=0.015)
+    assert masses["ZZ_joint_1_R_held"].value == pytest.approx(3.0794e-3, rel=0.015)
     assert not masses["ZZ_joint_1_R_released"].supported
 
 
@@ -70,7 +70,7 @@ def test_a_row_weighs_what_its_motion_is_known_to(rng):
     who = rocksat_flight.identifier(considered=())
     found = rocksat_flight.feed(who, exact, held)
     assert np.count_nonzero(found == 0) > 0.9 * held.size
-    assert rocksat_flight.by_name(who.estimate())["ZZ_joint_1_R_held"].mean == pytest.approx(3.0794e-3, rel=0.015)
+    assert rocksat_flight.by_name(who.estimate())["ZZ_joint_1_R_held"].value == pytest.approx(3.0794e-3, rel=0.015)
     # with a perfect accelerometer, what is left is angular acceleration: 3.08e-3 kg m^2 over 40 mm, held
     noise = signals.noise._replace(specific_force=np.zeros_like(signals.noise.specific_force))
     exact = exact._replace(noise=noise)
@@ -115,7 +115,7 @@ def test_batches_of_any_size_agree(rng):
     rocksat_flight.feed(two, signals, held, step=17)
     assert len(one.estimate().quantities) > 0
     for a, b in zip(one.estimate().quantities, two.estimate().quantities, strict=True):
-        assert a.mean == pytest.approx(b.mean, rel=1e-3)
+        assert a.value == pytest.approx(b.value, rel=1e-3)
 
 
 def test_an_answer_takes_two_jackknifes_one_for_its_findings(rng, monkeypatch):
@@ -181,7 +181,7 @@ def test_reasons_and_counts(rng):
     assert estimate.refused[GateReason.GAP] == 3
     assert estimate.refused[GateReason.RESIDUAL] >= 1
     assert estimate.rows_used == np.count_nonzero(found == 0)
-    assert rocksat_flight.by_name(estimate)["m_arm"].mean == pytest.approx(0.23313, rel=0.03)
+    assert rocksat_flight.by_name(estimate)["m_arm"].value == pytest.approx(0.23313, rel=0.03)
 
 
 def test_functionals_are_the_inertia_about_the_joint():

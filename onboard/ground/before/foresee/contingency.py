@@ -137,11 +137,7 @@ def _less(vehicle: config.Vehicle, names: set[str]) -> config.Vehicle:
     prior = settings.prior.model_copy(update={"absolute": absolute})
     nuisance = [name for name in settings.nuisance if name not in columns]
     estimation = settings.model_copy(update={"prior": prior, "nuisance": nuisance})
-    return _with(vehicle, device=kept, estimation=estimation)
-
-
-def _with(vehicle: config.Vehicle, **sections: Any) -> config.Vehicle:
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update=sections)})
+    return vehicle.with_sections(device=kept, estimation=estimation)
 
 
 def _is_pulse(vehicle: config.Vehicle, name: str) -> bool:
@@ -177,7 +173,7 @@ def _by_arrival(vehicle: config.Vehicle) -> tuple[config.Vehicle, str]:
         prior = prior.model_copy(update={"joint": {**prior.joint, **wide}})
     estimation = settings.model_copy(update={"imu_prior": imu_prior, "prior": prior})
     told = ", ".join(f"{name} {1e3 * sigma_s:.2g} ms" for name, sigma_s in late.items())
-    return _with(vehicle, device=devices, estimation=estimation), told
+    return vehicle.with_sections(device=devices, estimation=estimation), told
 
 
 def _require_measured(vehicle: config.Vehicle) -> None:

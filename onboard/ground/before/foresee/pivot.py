@@ -31,6 +31,6 @@ def foresee_pivot(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:
     used = plan.used(vehicle)
     run.foresee(ticks, plan.held, plan.rate_rad_s)
     found = run.estimate().quantities
-    values, sigmas = {one.name: one.mean for one in found}, [one.sigma for one in found]
+    values, sigmas = {one.name: one.value for one in found}, [one.sigma for one in found]
     told = expected(found, values, sigmas, useful_of(vehicle))
     return Foreseen(tuple(told), (), None, float(used.sum() * (plan.time_s[1] - plan.time_s[0])), ())

@@ -148,7 +148,7 @@ def expected(
     """
     quantities = list[Expected]()
     estimates = [
-        answer._replace(mean=mean, sigma=s, low=mean - HALF * s, high=mean + HALF * s)
+        answer._replace(value=mean, sigma=s, low=mean - HALF * s, high=mean + HALF * s)
         for answer, s, mean in zip(answers, sigmas, [values[answer.name] for answer in answers], strict=True)
     ]
     size = sizes(estimates, useful)

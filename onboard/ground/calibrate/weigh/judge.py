@@ -34,7 +34,7 @@ def judge(answer: Answer) -> Judged:
     """Level of each quantity and of the whole."""
     findings = _findings(answer)
     body = answer.quantities[:4]
-    mass, centre = body[0].mean, np.array([one.mean for one in body[1:]])
+    mass, centre = body[0].value, np.array([one.value for one in body[1:]])
     size = float(np.sqrt(centre @ centre + 0.6 * radius_m(mass) ** 2))  # root mean square distance of a sphere's mass
     useful = Useful()
     sizes = {"m": Size(mass, useful.mass, "it")} | {
@@ -70,9 +70,9 @@ def judge_live(answer: Answer, frame: str) -> Judged:
             "each `axis`"
         )
     turned = [one for one in answer.quantities if one.name.startswith("installation")]
-    off = [one for one in turned if one.supported and not -_SEATED_rad < one.mean < _SEATED_rad]
+    off = [one for one in turned if one.supported and not -_SEATED_rad < one.value < _SEATED_rad]
     if off:
-        told = ", ".join(f"{np.rad2deg(one.mean):.1f} deg about its {one.name[-1]}" for one in off)
+        told = ", ".join(f"{np.rad2deg(one.value):.1f} deg about its {one.name[-1]}" for one in off)
         notes.append(
             f"the sensor sits turned against {frame} as it is drawn, by {told}: correct the URDF or each `axis`"
         )
@@ -112,9 +112,9 @@ def _findings(answer: Answer) -> Findings:
             "poses and of wrenches that do not belong together (shifted, sorted), another kind of orientation "
             "(--orientation), joints (--urdf) of another order, sign or zero, or noise larger than the weight"
         )
-    if mass.supported and mass.mean > HEAVIEST_kg:
+    if mass.supported and mass.value > HEAVIEST_kg:
         against.append(
-            f"{mass.mean:.3g} kg is more than any arm holds: its forces are in another unit than N, or are counts "
+            f"{mass.value:.3g} kg is more than any arm holds: its forces are in another unit than N, or are counts "
             "(--force-unit and --moment-unit: a name, or its size in N and N m, 1e-6 for instance)"
         )
     if answer.said_down and (lean := _lean(answer)):
@@ -139,7 +139,7 @@ def _findings(answer: Answer) -> Findings:
     if not odd and mass.supported and not mass.low <= plain <= mass.high:
         k = int(np.abs([one.moved / one.noise for one in answer.axes[:3]]).argmax())
         axis = answer.axes[k]
-        weight = abs(mass.mean) * answer.known.place.gravity_m_s2
+        weight = abs(mass.value) * answer.known.place.gravity_m_s2
         moved = float(np.ptp(answer.zeros[:, k]))
         said = f"{alone(answer)}: the axes contradict each other while their zeros are taken for constant"
         if moved > 0.0:
@@ -160,12 +160,12 @@ def _unnamed(answer: Answer) -> Findings:
 
 def _far_m(answer: Answer) -> float:
     """Centre of mass from the sensor."""
-    return float(np.linalg.norm([one.mean for one in answer.quantities[1:4]]))
+    return float(np.linalg.norm([one.value for one in answer.quantities[1:4]]))
 
 
 def _others(answer: Answer) -> str:
     """Units that are likelier than those taken; empty where none are, or where they are named."""
-    said = likelier(answer.quantities[0].mean, _far_m(answer), answer.unnamed) if answer.unnamed else ""
+    said = likelier(answer.quantities[0].value, _far_m(answer), answer.unnamed) if answer.unnamed else ""
     return f"; it would be {said}" if said else ""
 
 
@@ -180,7 +180,7 @@ def _odd(answer: Answer) -> list[int]:
 
 def _lean(answer: Answer) -> str:
     """That the base leans by more than chance makes of its stated sigma; empty where it does not."""
-    tilts, stated = [one.mean for one in answer.quantities[-2:]], answer.known.tilt_rad
+    tilts, stated = [one.value for one in answer.quantities[-2:]], answer.known.tilt_rad
     if max(map(abs, tilts)) <= stated * doubtful_from(len(tilts)):
         return ""
     return (

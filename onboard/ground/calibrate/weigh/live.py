@@ -223,8 +223,8 @@ class Session:
         if not mass.supported:
             told = "the mass is not known yet"
         else:
-            half = 0.5 * (mass.high - mass.low) / abs(mass.mean)
-            told = f"{mass.mean:.4g} kg +- {100.0 * half:.2g} %"
+            half = 0.5 * (mass.high - mass.low) / abs(mass.value)
+            told = f"{mass.value:.4g} kg +- {100.0 * half:.2g} %"
             if n >= FEWEST and half <= self.until:
                 self.done = f"the mass is known to {100.0 * half:.2g} %"
             elif n >= _ENOUGH and not more:

@@ -37,7 +37,7 @@ def render(answer: Answer, judged: Judged, more: tuple[Pose, ...], title: str) -
     parts: list[RenderableType] = [_quantities(answer, judged, title), _axes(answer), *map(Text, lines)]
     if more:
         said = "; ".join(
-            f"{one.text} (then mass +- {100.0 * HALF * one.mass_sigma_kg / abs(answer.quantities[0].mean):.2g} %, "
+            f"{one.text} (then mass +- {100.0 * HALF * one.mass_sigma_kg / abs(answer.quantities[0].value):.2g} %, "
             f"centre +- {1e3 * HALF * one.centre_sigma_m:.2g} mm)"
             for one in more
         )
@@ -59,7 +59,7 @@ def _quantities(answer: Answer, judged: Judged, title: str) -> Table:
         level = judged.standings[one.name].level if one.name in judged.standings else ""
         if one.supported:
             places = digits(factor * one.sigma)
-            shown = [f"{factor * value:.{places}f}" for value in (one.mean, one.low, one.high)]
+            shown = [f"{factor * value:.{places}f}" for value in (one.value, one.low, one.high)]
         else:
             shown, level = ["not known", "", ""], level or one.note
         table.add_row(_NAMES[one.name], *shown, unit, str(level))
@@ -106,9 +106,9 @@ def as_json(answer: Answer, judged: Judged, more: tuple[Pose, ...]) -> dict[str,
 
 def _quantity(one: QuantityEstimate, judged: Judged) -> dict[str, Any]:
     own = judged.standings.get(one.name)
-    kept = ("name", "unit", "sigma", "low", "high", "supported", "leans")
+    kept = ("value", "name", "unit", "sigma", "low", "high", "supported", "leans")
     level = {"level": own.level, "why": own.why} if own else {}
-    return {"value": one.mean, **{key: getattr(one, key) for key in kept}, **level}
+    return {**{key: getattr(one, key) for key in kept}, **level}
 
 
 def draw(answer: Answer, path: Path) -> None:
@@ -145,7 +145,7 @@ def draw(answer: Answer, path: Path) -> None:
 def _draw_masses(axes: Any, answer: Answer, mass: QuantityEstimate) -> None:
     if mass.supported:
         axes.axvspan(mass.low, mass.high, color=COLOUR["good"], alpha=0.18, lw=0)
-        axes.axvline(mass.mean, color=COLOUR["good"])
+        axes.axvline(mass.value, color=COLOUR["good"])
     rows = [(f"{one.name[-1]} alone", one.alone_kg, one.alone_sigma_kg) for one in answer.axes[:3]]
     rows += [(f"{one.name[-1]}, zero fitted", one.mass_kg, one.mass_sigma_kg) for one in answer.axes[:3]]
     rows += [("plain least squares", *answer.plain)]

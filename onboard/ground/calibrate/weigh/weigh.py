@@ -261,7 +261,8 @@ def _answers(weighing: wrist.Weighing, poses: Poses, prior: Priors, known: Known
             known_mass = low > 0.0 or high < 0.0
             supported = supported and known_mass
         note = "" if supported else "not known: these poses do not tell it from the sensor's zeros; turn the wrist more"
-        yield QuantityEstimate(name, unit, mean, sigma, low, high, shrinkage, supported, note, leans=leans[k])
+        one = name, unit, mean, sigma, low, high, supported
+        yield QuantityEstimate(*one, leans=leans[k], shrinkage=shrinkage, note=note)
     yield from _angles(weighing, wide)
 
 
@@ -284,9 +285,8 @@ def _angles(weighing: wrist.Weighing, wide: FloatArray) -> Iterator[QuantityEsti
         sigmas = [float(np.sqrt(each.covariance[k, k])) for each in weighing.fits]
         _, sigma, low, high = wrist.interval([float(value)] * len(sigmas), sigmas, weighing, INTERVAL)
         shrinkage = sigma / wide[k]
-        yield QuantityEstimate(
-            name, "rad", float(value), sigma, low, high, shrinkage, shrinkage <= SUPPORTED_SHRINKAGE, "as stated before"
-        )
+        told = name, "rad", float(value), sigma, low, high, shrinkage <= SUPPORTED_SHRINKAGE
+        yield QuantityEstimate(*told, shrinkage=shrinkage, note="as stated before")
 
 
 def _axes(

@@ -16,7 +16,7 @@ from onboard.estimation.policy import FARTHEST_SIZE, HALF, INTERVAL, LIKELY_SIZE
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of
 from onboard.flight.estimate.problem.model import build_model, naming_the_file
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
+from onboard.ground.identify.kinds.identified import Identified, judged, standings
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
 from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
@@ -24,7 +24,7 @@ from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.leaning import Causes, Contribution
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings, QuantityEstimate
 from onboard.identification.verdict import Evidence
 from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s
 from onboard.recording.format.errors import ChannelError
@@ -53,13 +53,12 @@ def identify_body(vehicle: config.Vehicle, log: LogReader) -> Identified:
     if fit is None:
         return judged(log, Evidence(len(poses.time_s), refused, dict.fromkeys(names, False), None, failure=failure))
     (answers, budget), findings = _answers(vehicle, model, fit), _findings(model, fit)
-    findings = findings._replace(doubts=(*findings.doubts, *moved))
     evidence = Evidence(
         fit.found.rows,
         refused,
         {one.name: one.supported for one in answers if one.name in names},
         None,
-        findings=findings,
+        findings=findings.plus(doubts=moved),
         standings=standings(answers, useful_of(vehicle)),
         unchecked="",  # its windows are held against each other
     )
@@ -148,7 +147,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
 
 def _answers(
     vehicle: config.Vehicle, model: BodyModel, fit: BodyFit
-) -> tuple[tuple[IdentifiedQuantity, ...], dict[str, tuple[Contribution, ...]]]:
+) -> tuple[tuple[QuantityEstimate, ...], dict[str, tuple[Contribution, ...]]]:
     """Body, delay and tilt with their intervals, and what these are made of."""
     found, p = fit.found, fit.found.globals
     P = found.fit.covariance[:p, :p]
@@ -180,7 +179,7 @@ def _answers(
     bound = scale * np.sqrt(np.diag(P)[at])
     numbers = (of.tolist() for of in (values, scale * sigma, low, high, told, bound))
     names = [model.names[k] for k in at]
-    answers = (IdentifiedQuantity(*one) for one in zip(names, units[: len(at)], *numbers, leans, strict=True))
+    answers = (QuantityEstimate(*one) for one in zip(names, units[: len(at)], *numbers, leans, strict=True))
     return tuple(answers), dict(zip(names, causes.budget(effects, scale * sigma), strict=True))
 
 

@@ -36,6 +36,7 @@ from onboard.identification.free_flyer.misread import mistaken
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.recursion.recursive import feed_filter
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Changed, Segment, in_windows, pushed
@@ -280,18 +281,13 @@ class _Flight:
 
     def _again(self) -> _Onboard:
         """What the recursive estimator makes of the ticks."""
-        ekf, before = self._online.ekf, None
-        announced = (np.flatnonzero(np.diff(self._attached)) + 1).tolist()
-        for first, last in pairwise(sorted({0, *announced, *self._jumped_at, len(self._attached)})):
-            for at, jump in zip(self._jumped_at, self._jumps, strict=True):
-                if at == first:
-                    ekf.jumped(*jump)
-            held = bool(self._attached[first]) if last > first else before
-            if before is not None and held != before:
-                ekf.announce(bool(held), float(self._ticks.time_s[first]))
-            before = held
-            for at in range(first, last, BATCH_TICKS):
-                ekf.update(self._ticks.part(slice(at, min(at + BATCH_TICKS, last))))
+        ekf = self._online.ekf
+
+        def take(ticks: Ticks) -> None:
+            for at in range(0, len(ticks.time_s), BATCH_TICKS):
+                ekf.update(ticks.part(slice(at, at + BATCH_TICKS)))
+
+        feed_filter(ekf, self._ticks, self._attached, self._jumps, None, take)
         ekf.finish()
         size = len(ekf.predictor.names) - RATE.stop
         state = ekf.state if ekf.state is not None and ekf.held else np.zeros(size + RATE.stop)

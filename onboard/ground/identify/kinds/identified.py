@@ -1,6 +1,5 @@
 """Result of ``heft identify`` for one log: estimates with intervals, evidence, verdict."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.free_flyer.before_capture import BeforeCapture
 from onboard.identification.leaning import Contribution
 from onboard.identification.observability import ObservedDirections
-from onboard.identification.quantities import Findings, QuantityEstimate, outer_of
+from onboard.identification.quantities import Findings, QuantityEstimate
 from onboard.identification.rows.fitted_drawing import FittedLink
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import LinkEstimate
@@ -26,32 +25,6 @@ from onboard.identification.verdict import Evidence, Verdict, standings_of, verd
 from onboard.recording.reader import LogReader
 
 
-class IdentifiedQuantity(NamedTuple):
-    """One quantity; numbers are NaN if the data do not determine it."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    low: float
-    high: float
-    supported: bool
-    bound: float = math.nan  # Cramer-Rao: the least sigma that the motion flown allows, at the stated noise
-    leans: str = ""  # on which stated sigmas, where these make up a good part of its own
-    own_outer: tuple[float, float] | None = None  # ends of the 99.9 % interval, where it is not that of a normal
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values, None for NaN."""
-        told = self._asdict() | dict(zip(("low_999", "high_999"), self.outer, strict=True))
-        del told["own_outer"]
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
-
-    @property
-    def outer(self) -> tuple[float, float]:
-        """Ends of its 99.9 % interval."""
-        return outer_of(self.value, self.low, self.high) if self.own_outer is None else self.own_outer
-
-
 def answers_of(
     names: Sequence[str],
     units: Sequence[str],
@@ -59,20 +32,16 @@ def answers_of(
     sigma: FloatArray,
     supported: BoolArray,
     bound: FloatArray,
-) -> tuple[IdentifiedQuantity, ...]:
+) -> tuple[QuantityEstimate, ...]:
     """Quantities by their sigmas, each array (n,); their intervals are those of normals."""
     half = HALF * sigma
     numbers = (of.tolist() for of in (values, sigma, values - half, values + half, supported, bound))
-    return tuple(IdentifiedQuantity(*one) for one in zip(names, units, *numbers, strict=True))
+    return tuple(QuantityEstimate(*one) for one in zip(names, units, *numbers, strict=True))
 
 
-def standings(answers: Iterable[IdentifiedQuantity], useful: Useful) -> dict[str, Standing]:
+def standings(answers: Iterable[QuantityEstimate], useful: Useful) -> dict[str, Standing]:
     """What each that the data determine is good for, by its name."""
-    told = [
-        QuantityEstimate(one.name, one.unit, one.value, *one[3:6], math.nan, one.supported, "", leans=one.leans)
-        for one in answers
-        if one.supported
-    ]
+    told = [one for one in answers if one.supported]
     size = sizes(told, useful)
     return {one.name: standing(one, Findings(), size.get(one.name)) for one in told}
 
@@ -80,11 +49,10 @@ def standings(answers: Iterable[IdentifiedQuantity], useful: Useful) -> dict[str
 class RunAnswer(NamedTuple):
     """A run of parabolic flights, and what it says by itself."""
 
-    parabola: int  # its number, from 0
-    cut: dict[str, Any]  # release, catch, bumps, motions
+    cut: dict[str, Any]  # its parabola, release, catch, bumps, motions
     state: str  # "identified", "pooled" (it determines too little by itself), "refused"
     reason: str
-    answers: tuple[IdentifiedQuantity, ...]
+    answers: tuple[QuantityEstimate, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -98,7 +66,7 @@ class Identified:
 
     log: Path
     method: str
-    answers: tuple[IdentifiedQuantity, ...]  # base parameters, only a held mass with a unit, then the quantities
+    answers: tuple[QuantityEstimate, ...]  # base parameters, only a held mass with a unit, then the quantities
     rows_used: int
     refused: dict[str, int]  # rows by reason
     damage: tuple[object, ...]
@@ -119,7 +87,7 @@ class Identified:
     before: BeforeCapture | None = None  # how a payload that was captured moved until then
     misread: bool = False  # the mapping of the recording has a mistake, which the verdict names
 
-    def standing(self, answer: IdentifiedQuantity) -> Standing:
+    def standing(self, answer: QuantityEstimate) -> Standing:
         """Level of one of its answers, and why."""
         own = self.standings.get(answer.name, Standing(Level.WEAK, "not determined by the data"))
         if self.verdict.level is Level.DO_NOT_USE and own.level is not Level.DO_NOT_USE:
@@ -168,7 +136,7 @@ class Identified:
 def judged(
     log: LogReader,
     evidence: Evidence,
-    answers: tuple[IdentifiedQuantity, ...] = (),
+    answers: tuple[QuantityEstimate, ...] = (),
     method: str = config.PREDICTING.name,
     **more: Any,
 ) -> Identified:

@@ -21,13 +21,13 @@ from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.rls import Observability
 from onboard.flight.estimate.answers import INSTRUMENTS, change_of
 from onboard.flight.estimate.estimation import SUFFIX
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, answers_of, judged, standings
+from onboard.ground.identify.kinds.identified import Identified, answers_of, judged, standings
 from onboard.ground.identify.kinds.residuals import Residuals, by_axis
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings, QuantityEstimate
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
 from onboard.identification.useful import Useful
@@ -66,7 +66,7 @@ class CheckedFit(NamedTuple):
     halves: HeldOut | None
     unchecked: str  # why nothing is held out, where it is not
     residuals: Residuals  # by axis of the base IMU
-    further: tuple[IdentifiedQuantity, ...] = ()  # answers besides the payload
+    further: tuple[QuantityEstimate, ...] = ()  # answers besides the payload
     reason: str = ""  # for refusing it; empty if none
     findings: Findings = Findings()
     leans: tuple[str, ...] = ("",) * len(BODY)  # of each of the payload's numbers, on what is stated
@@ -132,15 +132,11 @@ def identified_of(kept: Kept, found: CheckedFit) -> Identified:
     names = _names(kept)
     link = link_estimate(kept.payload, found.chi, found.wider * found.chi_covariance)
     body = found.payload._replace(body=link.body or found.payload.body)
-    of_payload = body_answers(names, *body, found.wider, found.bound)
-    of_payload = tuple(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True))
+    of_payload = [*body_answers(names, *body, found.wider, found.bound)]
     if found.outer is not None:
-        ends = (found.wider**0.5 * found.outer).T.tolist()
-        of_payload = tuple(
-            one._replace(own_outer=(one.value + low, one.value + high))
-            for one, (low, high) in zip(of_payload, ends, strict=True)
-        )
-    answers = (*of_payload, *found.further)
+        ends = zip(of_payload, (found.wider**0.5 * found.outer).T.tolist(), strict=True)
+        of_payload = [one._replace(own_outer=(one.value + low, one.value + high)) for one, (low, high) in ends]
+    answers = (*(one._replace(leans=on) for one, on in zip(of_payload, found.leans, strict=True)), *found.further)
     if found.reason:
         answers = tuple(answer._replace(supported=False) for answer in answers)
     residual = kept.refused.get("residual", 0)
@@ -253,7 +249,7 @@ def held_ticks(runs: Sequence[TickRun]) -> dict[int, int]:
 
 def body_answers(
     names: tuple[str, ...], body: RigidBody, covariance: FloatArray, wider: float, bound: FloatArray
-) -> tuple[IdentifiedQuantity, ...]:
+) -> tuple[QuantityEstimate, ...]:
     """Each is supported if its sigma is at most a fifth of the body's scale.
 
     Args:

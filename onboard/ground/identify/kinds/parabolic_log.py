@@ -175,12 +175,12 @@ def _said(payload: str, run: ParabolaRun, flown: _Flown | None, found: Identifie
     if not refused and not found.answers:
         refused = "the runs together gave no answer"
     if flown is None or refused:
-        return RunAnswer(run.parabola, cut_of, "refused", refused, ())
+        return RunAnswer(cut_of, "refused", refused, ())
     if flown.said is not None and flown.said.usable:
         answers = tuple(one for one in flown.said.answers if one.supported)
-        return RunAnswer(run.parabola, cut_of, "identified", "", answers)
+        return RunAnswer(cut_of, "identified", "", answers)
     missing = f"by itself it does not determine {BODY[0]}_{payload}; it counts beside the others"
-    return RunAnswer(run.parabola, cut_of, "pooled", missing, ())
+    return RunAnswer(cut_of, "pooled", missing, ())
 
 
 def _since(value: Any, begin_s: float) -> Any:

@@ -4,7 +4,7 @@ from onboard import config
 from onboard.estimation.gates import named_refusals
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, judged, standings
+from onboard.ground.identify.kinds.identified import Identified, judged, standings
 from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.replay.feed import fed
 from onboard.identification.pivot.online import PivotRun
@@ -24,10 +24,8 @@ def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
     assert isinstance(run, PivotRun)
     run.wait()
     fed(estimator, log)
-    told, bounds = run.estimate().quantities, run.bounds()
     answers = tuple(
-        IdentifiedQuantity(one.name, one.unit, *one[2:6], one.supported, bound, one.leans)
-        for one, bound in zip(told, bounds.tolist(), strict=True)
+        one._replace(bound=bound) for one, bound in zip(run.estimate().quantities, run.bounds().tolist(), strict=True)
     )
     evidence = Evidence(
         run.rows_used,

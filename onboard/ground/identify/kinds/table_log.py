@@ -22,7 +22,7 @@ from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_pr
 from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, answers_of
+from onboard.ground.identify.kinds.identified import Identified, answers_of
 from onboard.ground.identify.kinds.likelihood_log import (
     CheckedFit,
     Kept,
@@ -37,7 +37,7 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.corrections import contradicted
 from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_out
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 from onboard.identification.table import air_bearing, floating_base
 from onboard.identification.table.rivals import answered
 from onboard.identification.verdict import TOO_SHORT
@@ -176,7 +176,7 @@ def underway(at_start: floating_base.AirBearingPrior) -> floating_base.AirBearin
 
 def _drags(
     found: PayloadFit, pucks: Mapping[str, floating_base.DragPrior], wider: float
-) -> tuple[tuple[IdentifiedQuantity, ...], str]:
+) -> tuple[tuple[QuantityEstimate, ...], str]:
     """Drag of each puck, supported if its sigma is at most a fifth of the prior's; and why the fit is refused."""
     drag = air_bearing.drag_of(found, pucks)
     known = np.array([sigma for puck in pucks.values() for sigma in puck])

@@ -177,8 +177,7 @@ def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identif
     whole, section = free_body.whole_body(identifier, load.mass_kg), vehicle.file.free_body
     assert section is not None
     carrier = Carrier(**_carrier_keys(whole.body, whole.sigma))
-    known = vehicle.file.model_copy(update={"free_body": section.model_copy(update={"carrier": carrier})})
-    return vehicle.model_copy(update={"file": known})
+    return vehicle.with_sections(free_body=section.model_copy(update={"carrier": carrier}))
 
 
 def carriers(vehicle: config.Vehicle, loads: Mapping[Path, config.Load]) -> list[Path]:
@@ -238,7 +237,7 @@ def unlike_the_carrier(vehicle: config.Vehicle, load: config.Load, estimate: Est
         if one.shrinkage <= SUPPORTED_SHRINKAGE:
             value, sigma = stated[one.name]
             spread = math.hypot(one.sigma, sigma, scale.get(one.name, 0.0) * value)
-            away[f"{one.name} of the carrier"] = float(one.mean - value) / spread
+            away[f"{one.name} of the carrier"] = float(one.value - value) / spread
     return contradicted(away)
 
 

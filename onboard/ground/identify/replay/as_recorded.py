@@ -61,8 +61,7 @@ def with_width(vehicle: config.Vehicle, width_ms: float, rows: float = _ROWS) ->
 def with_settings(vehicle: config.Vehicle, width_ms: float, **more: float) -> config.Vehicle:
     """The same vehicle with another smoothing, a lag that it fits into, and other settings of its estimation."""
     own = {"smoothing_ms": width_ms, "lag_ms": max(vehicle.file.estimation.lag_ms, LAG_OF_WIDTH * width_ms), **more}
-    settings = vehicle.file.estimation.model_copy(update=own)
-    return vehicle.model_copy(update={"file": vehicle.file.model_copy(update={"estimation": settings})})
+    return vehicle.with_sections(estimation=vehicle.file.estimation.model_copy(update=own))
 
 
 def best_width(errors: Mapping[float, float]) -> tuple[float, str]:
@@ -91,7 +90,7 @@ def chosen(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle | None:
     for width_ms in (one for one in WIDTHS_ms if 1e-3 * one >= FEWEST_SAMPLES * slowest_s):
         estimator = Estimator(with_width(vehicle, width_ms, 0.5 * _ROWS), at_the_end=True)
         who = fed(estimator, log, AT_ONCE_s).identifier
-        if (by_halves := halves(who.seen, who)) is not None:
+        if (by_halves := halves(who)) is not None:
             by_width[width_ms] = who, by_halves
     if len(by_width) < 2:
         return None
@@ -147,8 +146,7 @@ def as_recorded(vehicle: config.Vehicle, log: LogReader) -> RecordedVehicle:
         settings = settings.model_copy(update={"phases": held})
         begins = f"the payload is held from {held.payload_taken} on in channel {IN_TURN!r}"
         said.append(f"{begins}: [estimation.phases]")
-    file = vehicle.file.model_copy(update={"device": devices, "estimation": settings})
-    found_so_far = vehicle.model_copy(update={"file": file})
+    found_so_far = vehicle.with_sections(device=devices, estimation=settings)
     if free or thrown or "smoothing_ms" in settings.model_fields_set or (choice := chosen(found_so_far, log)) is None:
         return RecordedVehicle(found_so_far if said else vehicle, tuple(said))
     return RecordedVehicle(choice.vehicle, (*said, *choice.said))

@@ -265,10 +265,6 @@ class ImuPredictor:
         """None of this vehicle's."""
         return Ticks.none(len(self.vehicle.joints), self.lines[-1].stop, len(self.thrusters))
 
-    def rate_in_base(self, rate_S: FloatArray, imu: int = 0) -> FloatArray:
-        """A rate in an IMU's axes, (3,), in those of the base: ``w_B = R_BS w_S``."""
-        return np.asarray(self.imus[imu].R_BS @ rate_S, np.float64)
-
     def joint_noise(self, q: FloatArray, joint_sigma: FloatArray, state: FloatArray) -> FloatArray:
         """Effect of the joints' noise on the prediction, one sigma, (n, m).
 

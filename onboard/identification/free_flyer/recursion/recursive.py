@@ -18,9 +18,12 @@ The effect of the joints' noise, mainly gear transmission error, is added to the
 The work of a call is bounded (:mod:`onboard.identification.free_flyer.recursion.bounded_work`).
 """
 
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.policy import HALF
 from onboard.identification.change import Change
@@ -343,3 +346,39 @@ class MotionFilter(Windowed):
             self._open(self._hypotheses, self._prior)
         else:
             self._reopen((HeldPayload.SAME if self.held else HeldPayload.NOTHING,), 0)
+
+
+def feed_filter(
+    ekf: MotionFilter,
+    ticks: Ticks,
+    held: BoolArray,
+    jumps: Sequence[tuple[str, EncoderJump]],
+    before: bool | None,
+    take: Callable[[Ticks], None],
+) -> bool | None:
+    """Give a filter ticks, and before those that they are of jumps of encoders, captures and releases.
+
+    Args:
+        ekf: the filter.
+        ticks: further ones.
+        held: whether a payload is at each of them, (n,).
+        jumps: of encoders, by joint.
+        before: whether one was before them; None: not known.
+        take: gives it ticks between which nothing is announced.
+
+    Returns:
+        Whether one is at the last of them.
+    """
+    n = len(held)
+    jumped_at = [int(np.searchsorted(ticks.time_s, 1e-9 * jump.vehicle_ns)) for _, jump in jumps]
+    later = sorted({*(np.flatnonzero(np.diff(held)) + 1).tolist(), *jumped_at, n} - ({0} if n else set()))
+    for first, last in pairwise([0, *later]):
+        for at, jump in zip(jumped_at, jumps, strict=True):
+            if at == first:
+                ekf.jumped(*jump)
+        now = bool(held[first]) if n else before
+        if now is not None and before is not None and now != before:
+            ekf.announce(now, float(ticks.time_s[first]))
+        before = now
+        take(ticks.part(slice(first, last)))
+    return before

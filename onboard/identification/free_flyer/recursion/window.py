@@ -349,7 +349,8 @@ class WindowSolve:
         noise = noise_added(*some, use, start, by_tick=by_tick).moved(-lasting * start).plus(before)
         here, d = noise.moved(lasting * start), uphill @ moves - along
         if here.gradient.any():
-            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ self._of_active(here.gradient)
+            of_active = np.append(here.gradient, np.zeros(len(self._taken.first)))[active]  # zero for sizes of steps
+            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ of_active
         steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         left_out = self._lines.sigma[np.isfinite(self._ticks.measured[1:-1]) & ~use]
@@ -357,10 +358,6 @@ class WindowSolve:
         by = correction_of((end, covariance), noise.moved(lasting * end), self._predictor.constant, self._released)
         known = end + by.shift, covariance + by.root @ by.root.T
         return Solved(self._hypothesis, start, end, covariance, used, glitches, *told, noise, known, evidence)
-
-    def _of_active(self, x: FloatArray) -> FloatArray:
-        """Of (p,) what belongs to the unknowns, (a + r,), zero for sizes of steps."""
-        return np.asarray(np.append(x, np.zeros(len(self._taken.first)))[self._problem.active], np.float64)
 
     def _guessed(self) -> Iterator[FloatArray]:
         """Standard parameters of the payload, (10,) each."""

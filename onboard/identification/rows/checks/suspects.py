@@ -344,14 +344,12 @@ class _Left(NamedTuple):
 
     def shares(self, z: FloatArray, noise: FloatArray) -> "Shares":
         """What is left over, as shares."""
-        weight, squares = self.ticks.weight, self._squares(z)
+        weight = self.ticks.weight
+        squares = (self.target - self.slope @ z) ** 2 * weight
         mean = (self.ticks.measured * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), _TINY)
         read = ((self.ticks.measured - mean) ** 2 * weight).sum(axis=0)
         far = float((squares > _FAR**2 * noise).sum() / max((weight > 0.0).sum(), 1))
         return Shares(np.sqrt(squares.sum(axis=0) / np.maximum(read, _TINY)), noise, far)
-
-    def _squares(self, z: FloatArray) -> FloatArray:
-        return np.asarray((self.target - self.slope @ z) ** 2 * self.ticks.weight, np.float64)
 
 
 class Shares(NamedTuple):

@@ -74,8 +74,9 @@ def answered(
         wide = float(np.hypot(high - mean, HALF * drawn))
         sigma, low, high = float(np.hypot(sigma, drawn)), mean - wide, mean + wide
     leans = leans_on(considered, effects, mean, sigma, quantity.leanings, parameters)
-    told = mean, sigma, low, high, float(numbers[4]), fine, note, drawn
-    return QuantityEstimate(quantity.name, quantity.unit, *told, leans if fine else "")
+    told = quantity.name, quantity.unit, mean, sigma, low, high, fine
+    shrinkage = float(numbers[4])
+    return QuantityEstimate(*told, leans=leans if fine else "", shrinkage=shrinkage, note=note, drawn=drawn)
 
 
 class Unstated(NamedTuple):

@@ -115,7 +115,7 @@ def test_it_ends_when_the_mass_is_known_to_one_percent(workshop):
     answer = Wrist(live, 3).poses(30)
     mass = answer.quantities[0]
     assert mass.low <= MASS <= mass.high
-    assert 0.5 * (mass.high - mass.low) <= 0.01 * mass.mean
+    assert 0.5 * (mass.high - mass.low) <= 0.01 * mass.value
     assert 6 <= len(live.R) < 12
     assert live.done.startswith("the mass is known to")
     assert all("most tells" in line for line in told[4:-1])  # which pose comes next

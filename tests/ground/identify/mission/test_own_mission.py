@@ -9,18 +9,19 @@ from hil_sim.devices.vehicle_file import rehearsal
 from hil_sim.mission import Mission
 from onboard import config
 from onboard.ground.identify import identify
-from onboard.ground.identify.kinds.identified import Identified, IdentifiedQuantity, standings
+from onboard.ground.identify.kinds.identified import Identified, standings
 from onboard.ground.identify.mission import own_mission
+from onboard.identification.quantities import QuantityEstimate
 from onboard.identification.standing import Level
 from onboard.identification.useful import Useful
 from onboard.identification.verdict import Verdict
 
 VEHICLE = SimpleNamespace(prediction="planar", file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))
 FOUND = (
-    IdentifiedQuantity("m_box", "kg", 1.4, 0.1, 1.2, 1.6, True),
-    IdentifiedQuantity("I_zz_box", "kg m^2", 0.002, 0.008, -0.014, 0.018, True),
-    IdentifiedQuantity("Fc_puck_1", "N", 0.01, 0.001, 0.008, 0.012, True),
-    IdentifiedQuantity("c_z_box", "m", 0.0, 20.0, -40.0, 40.0, False),
+    QuantityEstimate("m_box", "kg", 1.4, 0.1, 1.2, 1.6, True),
+    QuantityEstimate("I_zz_box", "kg m^2", 0.002, 0.008, -0.014, 0.018, True),
+    QuantityEstimate("Fc_puck_1", "N", 0.01, 0.001, 0.008, 0.012, True),
+    QuantityEstimate("c_z_box", "m", 0.0, 20.0, -40.0, 40.0, False),
 )
 
 

@@ -56,7 +56,7 @@ def test_the_stiffness_is_stated_within_its_sigma(springy):
     }
     for name, value in truth.items():
         assert standing(found[name], identifier.findings()).level is Level.GOOD
-        assert abs(found[name].mean - value) < 3.29 * found[name].sigma, name
+        assert abs(found[name].value - value) < 3.29 * found[name].sigma, name
     assert found["m_payload"].sigma < 0.05
     predictor, state = identifier.ekf.predictor, identifier.ekf.state
     at = [k for k, name in enumerate(predictor.names) if name.startswith("stiffness_")]

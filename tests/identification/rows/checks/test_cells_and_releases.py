@@ -63,7 +63,7 @@ def test_the_cell_whose_scale_jumps_is_left_out_and_the_other_answers(rng, lies)
     assert not found.findings().against
     assert any(lies in doubt for doubt in found.findings().doubts)
     assert found.refused[GateReason.LEFT_OUT] == 1600
-    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+    assert payload_kg(found).value == pytest.approx(TIP_KG, rel=0.02)
 
 
 def test_two_healthy_cells_both_answer(rng):
@@ -154,7 +154,7 @@ def test_of_two_cells_of_different_scales_the_drawn_arm_tells_which_is_wrong(rng
     fly(found, rng, scale=lambda _: [scale if name == lies else 1.0 for name in ("cell_1", "cell_2")])
     assert not found.findings().against
     assert any(lies in doubt for doubt in found.findings().doubts)
-    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+    assert payload_kg(found).value == pytest.approx(TIP_KG, rel=0.02)
 
 
 @pytest.mark.parametrize("again_s", [8.0, 99.0])
@@ -166,7 +166,7 @@ def test_a_release_that_does_not_happen_is_not_believed_and_the_true_one_is(rng,
     told = payload_kg(found)
     assert told.supported is (again_s < 99.0)
     if told.supported:
-        assert told.mean == pytest.approx(TIP_KG, rel=0.02)
+        assert told.value == pytest.approx(TIP_KG, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_of_a_false_release_and_a_cell_that_jumps_both_are_told(rng, lies):
 def test_a_release_that_happens_is_believed(rng):
     found = Hypotheses(identifier)
     assert fly(found, rng) == []
-    assert payload_kg(found).mean == pytest.approx(TIP_KG, rel=0.02)
+    assert payload_kg(found).value == pytest.approx(TIP_KG, rel=0.02)
 
 
 def test_an_accepted_release_is_not_judged_again(rng):

@@ -157,7 +157,7 @@ def mass(who, true_kg=TOOL.mass_kg):
     """Error of the tool's mass in sigmas, and its sigma over the mass."""
     one = who.estimate().quantities[0]
     assert one.supported
-    return (one.mean - true_kg) / one.sigma, one.sigma / true_kg
+    return (one.value - true_kg) / one.sigma, one.sigma / true_kg
 
 
 def level(who):
@@ -184,7 +184,7 @@ def test_where_scales_are_stated_an_axis_that_explains_rows_that_contradict_is_t
     assert abs(mass(who)[0]) < 3.0
     assert mass(who)[1] < 5e-3
     at_recursion = prediction(who.seen, who.model, who.base, who.block_jackknife(exact=True).mean)
-    assert held_out(who.seen, who).fit.relative_error == pytest.approx(at_recursion.relative_error)
+    assert held_out(who).fit.relative_error == pytest.approx(at_recursion.relative_error)
 
 
 @pytest.mark.parametrize(("share", "explained"), [(0.2, True), (0.7, False)])
@@ -391,7 +391,7 @@ def test_noise_of_coarse_encoders_is_not_in_the_answers(monkeypatch):
     for seed in (30, 31, 32):
         who, given = identifier(), bench.signals(seed, identifier().model.vehicle, TOOL)
         bench.feed(who, given._replace(measured_rate=np.gradient(given.measured, given.time_s, axis=0)))
-        off.append([(one.mean - true) / one.sigma for one, true in zip(who.estimate().quantities, truth, strict=True)])
+        off.append([(one.value - true) / one.sigma for one, true in zip(who.estimate().quantities, truth, strict=True)])
     assert np.sqrt(np.nanmean(np.square(off))) < 1.1
 
 
