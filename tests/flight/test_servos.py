@@ -17,7 +17,7 @@ CHANNELS = ("joint_1", "joint_1_torque", "joint_2", "joint_2_torque")
 
 
 def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
-    result, log, _ = rehearsed(tmp_path, ARM, swing=8.0, seed=6)
+    result, log, _ = rehearsed(tmp_path, ARM, rest=3.0, swing=8.0, seed=6)
     honest(answers(result))
     assert any(answer["supported"] for answer in answers(result).values())
     for channel in CHANNELS:
@@ -30,7 +30,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
 
 @pytest.mark.campaign  # by currents above, by a bridge with AS5600s and AS5048s
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
-    result, _, _ = rehearsed(tmp_path, WITH_CELL, swing=14.0, seed=6)
+    result, _, _ = rehearsed(tmp_path, WITH_CELL, rest=3.0, swing=14.0, seed=6)
     honest(answers(result))
     moment = answers(result)["MY_payload"]
     assert moment["supported"]
@@ -42,7 +42,7 @@ def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
         *("--fault", "unplug:tty_servos:3:4", "--fault", "off:joint_2:5:6", "--fault", "garbage:joint_1:7:7.2"),
         *("--fault", "silent:joint_1:7.5:8", "--fault", "byte_loss:tty_servos:8.2:8.6:0.02"),
     ]
-    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, swing=8.0)
+    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, rest=3.0, swing=8.0)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert b"bus_recovered" in codes_of(log, b"tty_servos")
     for joint in (b"joint_1", b"joint_2"):
@@ -54,7 +54,7 @@ def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
 
 
 def test_an_overload_is_named_and_its_current_is_not_used(tmp_path):
-    result, log, _ = rehearsed(tmp_path, ARM, "--fault", "trip:joint_2:5:6", "--fault", "trip:joint_1:6:7:4")
+    result, log, _ = rehearsed(tmp_path, ARM, "--fault", "trip:joint_2:5:6", "--fault", "trip:joint_1:6:7:4", rest=3.0)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert codes_of(log, b"joint_2").count(b"hardware_error") == 1
     assert {b"hardware_error", b"hot"} <= set(codes_of(log, b"joint_1"))

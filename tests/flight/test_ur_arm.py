@@ -18,7 +18,7 @@ CHANNELS = tuple(f"joint_{n}{part}" for n in (1, 2) for part in ("", "_torque"))
 @pytest.mark.parametrize("rate", [pytest.param(125, marks=pytest.mark.campaign), 500])
 def test_an_arm_is_weighed_with_by_its_currents(tmp_path, rate):
     change = ("rate_hz = 125 ", f"rate_hz = {rate} ")
-    result, log, _ = rehearsed(tmp_path, ARM, swing=6.0, seed=6, change=change)
+    result, log, _ = rehearsed(tmp_path, ARM, rest=3.0, swing=6.0, seed=6, change=change)
     honest(answers(result))
     assert any(answer["supported"] for answer in answers(result).values())
     for channel in CHANNELS:
@@ -34,7 +34,7 @@ def test_it_survives_a_pulled_cable_a_restart_and_garbage(tmp_path):
         *("--fault", "unplug:robot:3:4", "--fault", "reset:joint_2:5", "--fault", "garbage:joint_1:7.5:7.7"),
         *("--fault", "trip:joint_2:8.2:8.5", "--fault", "emergency_stop:joint_1:9:9.4"),
     ]
-    result, log, _ = rehearsed(tmp_path, ARM, *faults, swing=8.0)
+    result, log, _ = rehearsed(tmp_path, ARM, *faults, rest=3.0, swing=8.0)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     events = codes_of(log, b"robot")
     for code in ("bus_error", "restarted", "out_of_step", "safety", "safety_normal", "arm_off", "arm_on"):
@@ -103,7 +103,7 @@ def test_a_preflight_names_a_controller_that_is_not_there(tmp_path, capsys):
 @pytest.mark.realtime
 @pytest.mark.timeout(180)
 def test_an_arm_flies_in_real_time_over_a_real_connection(tmp_path):
-    _, log, _ = rehearsed(tmp_path, ARM, "--realtime", "--fault", "unplug:robot:2:3", swing=4.0)
+    _, log, _ = rehearsed(tmp_path, ARM, "--realtime", "--fault", "unplug:robot:2:3", rest=3.0, swing=4.0)
     assert b"bus_recovered" in codes_of(log, b"robot")
     for channel in CHANNELS:
         rows = log.read(channel)

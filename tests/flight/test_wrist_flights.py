@@ -16,7 +16,7 @@ WARM = ("component = 1\n", "component = 1\ntemperature = true\n")
 def flown(directory, kind, *faults, **options):
     """Result, log and codes of the sensor's events; its answers are honest."""
     asked = [word for fault in faults for word in ("--fault", fault)]
-    result, log, _ = rehearsed(directory, [*ARM, kind], *asked, **options)
+    result, log, _ = rehearsed(directory, [*ARM, kind], *asked, rest=3.0, **options)
     honest(answers(result))
     return result, log, codes_of(log, b"box" if kind == "onrobot_hex" else b"tty_wrist")
 
