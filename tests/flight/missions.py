@@ -28,6 +28,7 @@ SHORT = [  # of RockSat: 16 s in which all three masses are found
     sweep(6, 0.6),
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
+BRIEF = [*SHORT[:1], sweep(3, 0.6), SHORT[-1]]  # 8 s with the tip mass, which determine next to nothing
 SHORT_REAL = [*SHORT[:-1], SHORT[-1] | {"duration_s": 2.0}]  # on a busy computer too a flight ends before its devices
 
 

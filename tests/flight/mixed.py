@@ -1,5 +1,6 @@
 """A vehicle with a device of every kind, and the twins that stand at the other ends, in one process."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,6 +84,16 @@ def without(device: str) -> str:
     return before + after[after.index("[device.") :]
 
 
+def only(*devices: str) -> str:
+    """The vehicle's file with these devices and no others."""
+    tables = re.split(r"(?m)^(?=\[)", DEVICES)
+    names = [found[1] if (found := re.match(r"\[+device\.(\w+)", table)) else "" for table in tables]
+    assert set(devices) < set(names)
+    if "wrist" not in devices:  # its channel tells the phase
+        names[-1] = "estimation"
+    return "".join(table for name, table in zip(names, tables, strict=True) if name in ("", *devices))
+
+
 def vehicle(directory: Path, urls: dict[str, str], text: str = DEVICES) -> config.Vehicle:
     """The vehicle, its file in ``directory``."""
     (directory / "mixed.urdf").write_text(urdf(), encoding="utf-8")
@@ -106,6 +117,7 @@ class MixedWorld:
 
     Args:
         directory: Where sockets are bound.
+        text: The vehicle's file; on buses without a device of it nothing goes on.
         sync_box: Whether something outside makes pulses and SYNC.
         fsync: Whether the sync line reaches the IMU.
 
@@ -113,7 +125,7 @@ class MixedWorld:
         urls: Of every bus of the vehicle.
     """
 
-    def __init__(self, directory: Path, *, sync_box: bool = True, fsync: bool = True) -> None:
+    def __init__(self, directory: Path, text: str = DEVICES, *, sync_box: bool = True, fsync: bool = True) -> None:
         self.now_ns = START_NS
         tables = {
             "can_0": bus_tables.CanBusTable(kind="can"),  # the sync box is on it, and moves before those that it marks
@@ -198,6 +210,7 @@ class MixedWorld:
         bus["box"].add(self.hand)
         thumb = {0: lambda time_s: (1e4 * force_n(time_s), False)}
         bus["hex"].add(HexBox(thumb, RateClock(-3e-5), START_NS))
+        self._moving = [bus for name, bus in self._ports.buses.items() if f'bus = "{name}"' in text]
         for _ in range(BOOT_MS):
             self.advance(MS)
 
@@ -214,7 +227,7 @@ class MixedWorld:
     def advance(self, ns: int) -> None:
         """Let time pass."""
         self.now_ns += ns
-        for bus in self._ports.buses.values():
+        for bus in self._moving:
             bus.advance(self.now_ns)
 
     def open(self, flying: config.Vehicle) -> OpenDevices:

@@ -20,21 +20,21 @@ def test_an_arm_of_magnets_is_weighed_with(tmp_path):
     assert answers(result)["MY_payload"]["supported"]
     for joint in JOINTS:
         rows = log.read(joint)
-        assert len(rows) > 10.5 * 200
+        assert len(rows) > 9.0 * 200
         assert set(rows["status"]) == {0}
         assert set(rows["device_status"]) == {0x01}
         assert result["channels"][joint]["missing"] == 0
-    noise = [np.diff(np.unwrap(log.read(joint)["value_raw"].astype(float), period=2**14)[:1900], 3) for joint in JOINTS]
+    noise = [np.diff(np.unwrap(log.read(joint)["value_raw"].astype(float), period=2**14)[:1600], 3) for joint in JOINTS]
     assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # two chips have noise of their own
 
 
 @pytest.mark.parametrize("kind", [pytest.param("as5048a", marks=pytest.mark.campaign), "as5048b"])
 def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path, kind):
     faults = [
-        *("--fault", "field:joint_1:4:5:-0.7", "--fault", "field:joint_2:5:5.5:0.8", "--fault", "off:joint_2:6:6.5"),
-        *("--fault", "silent:joint_1:7:7.3", "--fault", "garbage:joint_2:8:8.2"),
+        *("--fault", "field:joint_1:2:3:-0.7", "--fault", "field:joint_2:3:3.5:0.8", "--fault", "off:joint_2:4:4.5"),
+        *("--fault", "silent:joint_1:4.8:5.1", "--fault", "garbage:joint_2:5.4:5.6"),
     ]
-    result, log, _ = rehearsed(tmp_path, [*ARM, kind], *faults)
+    result, log, _ = rehearsed(tmp_path, [*ARM, kind], *faults, swing=4.5)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     events = log.read("event")
     told = {(event["source"], event["code"]) for event in events}
@@ -42,11 +42,11 @@ def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path
     assert told >= {(b"joint_1", b"bus_recovered"), (b"joint_2", b"bus_recovered")}
     assert (log.read("joint_1")["status"] & SampleStatus.NOT_VALID != 0).sum() == pytest.approx(200, abs=2)
     rows = log.read("joint_2")
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.8e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.8e9
 
 
 def test_an_adapter_that_is_unplugged_comes_back(tmp_path):
-    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], "--fault", "unplug:spi_1:4:5")
+    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], "--fault", "unplug:spi_1:2:3", swing=4.5)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert codes_of(log, b"joint_1").count(b"bus_recovered") == 1
     assert 190 < result["channels"]["joint_1"]["missing"] < 420

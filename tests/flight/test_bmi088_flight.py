@@ -17,7 +17,7 @@ def test_a_free_arm_weighs_with_it(tmp_path):
     honest(answers(result))
     assert answers(result)["m_payload"]["supported"]
     rows = log.read("imu_base")
-    assert len(rows) > 10.5 * 1600
+    assert len(rows) > 9.0 * 1600
     assert set(rows["status"]) == {0}
     clock = log.read("clock")
     [sigma_ns] = clock["sigma_ns"][clock["channel"] == b"imu_base"][-1:]
@@ -26,8 +26,8 @@ def test_a_free_arm_weighs_with_it(tmp_path):
     assert result["channels"]["imu_base"]["missing"] == 0
 
 
-OF_I2C = "off:imu_base:3:4 nack:imu_base:5:5.3 timeout:imu_base:6:6.1 reset:imu_base:7 garbage:imu_base:8:8.1"
-OF_SPI = "off:imu_base:3:4 unplug:imu_spi:5:5.5 silent:imu_base:6.7:7 reset:imu_base:7.5 garbage:imu_base:8.1:8.2"
+OF_I2C = "off:imu_base:1.5:2.5 nack:imu_base:3.2:3.5 timeout:imu_base:4.2:4.3 reset:imu_base:5 garbage:imu_base:5.6:5.7"
+OF_SPI = "off:imu_base:1.5:2.5 unplug:imu_spi:3:3.5 silent:imu_base:4.2:4.5 reset:imu_base:5 garbage:imu_base:5.6:5.7"
 
 
 @pytest.mark.parametrize(
@@ -35,14 +35,14 @@ OF_SPI = "off:imu_base:3:4 unplug:imu_spi:5:5.5 silent:imu_base:6.7:7 reset:imu_
 )
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path, kind, faults):
     asked = (word for fault in faults.split() for word in ("--fault", fault))
-    result, log, _ = rehearsed(tmp_path, [*FREE, kind], *asked)
+    result, log, _ = rehearsed(tmp_path, [*FREE, kind], *asked, swing=4.5)
     honest(answers(result))
     told = codes_of(log, b"imu_base")
     assert told.count(b"bus_recovered") >= 3
     assert told.count(b"brown_out") + told.count(b"no_samples") >= 2
     rows = log.read("imu_base")
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == told.count(b"started") - 1
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.4e9
 
 
 @pytest.mark.parametrize("name", ["imu_hand", "imu_foot"])

@@ -12,7 +12,7 @@ from onboard.flight.clocks import timebase_of
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother
 from onboard.flight.store import rings
-from tests.flight.mixed import DEVICES, MixedWorld, angle, force_n, vehicle
+from tests.flight.mixed import DEVICES, MixedWorld, angle, force_n, only, vehicle
 from tests.flight.mixed_flight import MIXED_s
 from tests.hil_sim.devices.twin_bench import MS, START_NS
 
@@ -168,20 +168,25 @@ def test_pulses_driven_come_in(flight):
 
 
 def test_a_bus_that_cannot_be_opened_costs_its_own_devices_only(tmp_path):
-    with MixedWorld(tmp_path) as world:
+    lost = "imu_base", "imu_elbow", "bridge", "tip", "knee", "imu_tip"
+    others = "can_sync", "shoulder", "hip", "elbow"
+    text = only(*lost, *others)
+    with MixedWorld(tmp_path, text) as world:
         world.urls["i2c_1"] = "i2c:///dev/no-such-bus"
         world.urls["tty_imu"] = "serial:///dev/no-such-tty?baud=115200"
-        flying, rows = fly(tmp_path, world, DEVICES, 1.0)
+        flying, rows = fly(tmp_path, world, text, 1.0)
     said = {(e["source"], e["code"]) for e in rows["event"] if e["severity"] == Severity.ERROR}
     assert said == {(b"i2c_1", b"bus_failed"), (b"imu_tip", b"bus_error")}
     silent = {channel for channel in flying.channels if channel not in rows}
     magnetic = {f"imu_tip_mag_{axis}" for axis in "xyz"}
-    assert silent == {"imu_base", "imu_elbow", "bridge", "tip", "knee", "imu_tip", *magnetic}
+    assert silent == {*lost, *magnetic}
+    assert set(others) < set(rows)
 
 
 def test_the_generator_makes_the_syncs_of_a_bus_that_has_no_other(tmp_path):
-    text = DEVICES.replace('bus = "loop_out"\n', 'bus = "loop_out"\nsync_bus = "can_0"\n')
-    with MixedWorld(tmp_path, sync_box=False) as world:
+    text = only("imu_tip", "can_sync", "shoulder", "load_cell", "loop", "second")
+    text = text.replace('bus = "loop_out"\n', 'bus = "loop_out"\nsync_bus = "can_0"\n')
+    with MixedWorld(tmp_path, text, sync_box=False) as world:
         _, rows = fly(tmp_path, world, text, 2.0)
     sent = rows["loop_sync"]["tick"]
     assert len(sent) == pytest.approx(2.0 * 200, abs=5)
@@ -192,11 +197,12 @@ def test_the_generator_makes_the_syncs_of_a_bus_that_has_no_other(tmp_path):
 
 def test_a_node_without_heartbeat_is_guarded_as_the_vehicle_says(tmp_path):
     guarded = 'node = 1\nsupervision = "guarding"\nguard_time_ms = 50\nlife_time_factor = 4\n'
-    with MixedWorld(tmp_path) as world:
+    text = only("imu_tip", "can_sync", "shoulder", "upper", "load_cell").replace("node = 1\n", guarded)
+    with MixedWorld(tmp_path, text) as world:
         world.encoder.dictionary.remove(0x1017, 0)
         channel = world.urls["can_0"].removeprefix("can+virtual://").partition("?")[0]
         with can.Bus(channel, interface="virtual", preserve_timestamps=True) as listener:
-            _, rows = fly(tmp_path, world, DEVICES.replace("node = 1\n", guarded), 1.0)
+            _, rows = fly(tmp_path, world, text, 1.0)
             heard = iter(lambda: listener.recv(0.0), None)
             asked_s = [message.timestamp for message in heard if message.is_remote_frame]
     # the virtual bus carries no remote frames to the twin, so that the fourth question finds the node lost

@@ -25,7 +25,7 @@ from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
 from tests.flight.driven_bench import swings_csv
 
-SECONDS = 9.0  # of the motion
+SECONDS = 8.0  # of the motion
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 
 
@@ -67,7 +67,7 @@ def last_answers(log: LogReader, mission: DrivenFlight) -> dict[str, Any]:
 def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
     """Torques that are read are what moves the arm and what the drives' friction takes."""
     vehicle = written(tmp_path, torque=True)
-    mission, log = world(vehicle, None, 8, SECONDS + 5.0), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 8, SECONDS + 3.0), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         armed = config.load(vehicle).model_copy(update={"arm": True})
         hil.fly_simulated(armed, mission, urls, log)
@@ -84,7 +84,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
     """Asked for by the estimation, played by the acquisition, felt by the base, seen in the answer."""
     vehicle, segments = written(tmp_path), tmp_path / "plan" / "segments.npz"
     vehicle.write_text(vehicle.read_text().replace('motion = "motion.csv"', ""))
-    fast = ["--segments", "--masses", "0.7,3", "--starts", "2", "--iterations", "3"]
+    fast = ["--segments", "--masses", "0.7,3", "--starts", "1", "--iterations", "3"]
     told = tmp_path / "plan.json"
     assert cli.main(["plan", str(vehicle), *fast, "--output", str(segments.parent), "--json", str(told)]) == cli.OK
     planned = json.loads(told.read_text())

@@ -11,16 +11,17 @@ import pytest
 from onboard import cli
 from onboard.recording.reader import LogReader
 from onboard.recording.space import refusal
-from tests.flight.missions import SHORT, inline
+from tests.flight.missions import SHORT, inline, sweep
 
 LIMIT = 300_000  # bytes of a file
+SHORTER = [SHORT[0] | {"duration_s": 2.5}, sweep(5, 0.6), *SHORT[2:4], sweep(4, 0.6), SHORT[5]]
 
 
 @pytest.mark.usefixtures("own_rings")
 @pytest.mark.timeout(300)
 def test_the_answer_of_a_flight_whose_log_may_not_grow_is_printed(tmp_path: Path) -> None:
     log, short, result = tmp_path / "flown.mcap", tmp_path / "short.toml", tmp_path / "flown.json"
-    short.write_text(f"sequence = [{', '.join(map(inline, SHORT))}]\n")
+    short.write_text(f"sequence = [{', '.join(map(inline, SHORTER))}]\n")
     command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(short), "--log", str(log)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--json", str(result)], stdout=pipe, stderr=pipe, text=True) as flight:

@@ -16,17 +16,17 @@ def test_a_cell_on_an_hx711_is_weighed_with(tmp_path, rate):
     honest(answers(result))
     assert ("XZ_payload_R" in answers(result)) == (rate == 80)  # ten samples a second say little of a moving arm
     rows = log.read("load_cell")
-    assert len(rows) > 8.0 * rate
+    assert len(rows) > 6.5 * rate
     assert result["channels"]["load_cell"]["missing"] == 0
-    assert not rows["status"][-8 * rate :].any()
+    assert not rows["status"][-6 * rate :].any()
 
 
 def test_it_survives_unplugging_brown_out_and_its_chip_of_gpio_lines_going(tmp_path):
     faults = [
-        *("--fault", "silent:load_cell:3:4", "--fault", "reset:load_cell:5", "--fault", "off:load_cell:6:6.5"),
-        *("--fault", "unplug:cell_lines:7.5:8", "--fault", "saturated:load_cell:8.5:8.7:-1"),
+        *("--fault", "silent:load_cell:1.5:2.5", "--fault", "reset:load_cell:3", "--fault", "off:load_cell:3.8:4.3"),
+        *("--fault", "unplug:cell_lines:4.8:5.2", "--fault", "saturated:load_cell:5.6:5.8:-1"),
     ]
-    result, log, _ = rehearsed(tmp_path, CELL, *faults)
+    result, log, _ = rehearsed(tmp_path, CELL, *faults, swing=4.5)
     honest(answers(result))
     assert codes_of(log, b"load_cell").count(b"bus_recovered") == 3
     assert codes_of(log, b"load_cell").count(b"brown_out") == 1
@@ -37,4 +37,4 @@ def test_it_survives_unplugging_brown_out_and_its_chip_of_gpio_lines_going(tmp_p
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 4  # with the brown-out
     saturated = rows["status"] & SampleStatus.SATURATED != 0
     assert set(rows["value_raw"][saturated]) == {-(1 << 23)}
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.4e9

@@ -17,7 +17,7 @@ SEQUENCE = """
 [[sequence]]
 phase = 1
 action = "hold"
-duration_s = 3.0
+duration_s = {rest}
 [[sequence]]
 phase = 1
 action = "swing"
@@ -28,12 +28,12 @@ INERTIAL = ["--base", "free", "--joints", "2", "--imu", "icm20948"]
 CELL = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802"]
 
 
-def rehearsed(directory, init, *further, swing=6.0, seed=3, change=("", "")):
+def rehearsed(directory, init, *further, rest=1.5, swing=6.0, seed=3, change=("", "")):
     """The result of ``heft hil`` of a vehicle of ``heft init``, accounted for; its log and its exit code."""
     assert main(["init", str(directory / "mine"), *init]) == 0
     path = directory / "mine" / "vehicle.toml"
     path.write_text(path.read_text().replace(*change))
-    (directory / "over.toml").write_text(SEQUENCE.format(swing=swing))
+    (directory / "over.toml").write_text(SEQUENCE.format(rest=rest, swing=swing))
     log, result = directory / "flight.mcap", directory / "result.json"
     asked = ["hil", str(path), "--seed", str(seed), "--scenario", str(directory / "over.toml"), *further]
     code = main([*asked, "--json", str(result), "--log", str(log)])
@@ -50,7 +50,7 @@ def codes_of(log, source):
 
 @pytest.mark.parametrize(
     ("rate", "faults"),
-    [pytest.param(80, [], marks=pytest.mark.campaign), (320, ["--fault", "saturated:load_cell:5:6:1"])],
+    [pytest.param(80, [], marks=pytest.mark.campaign), (320, ["--fault", "saturated:load_cell:4:5:1"])],
 )
 def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(tmp_path, rate, faults):
     change = ("sample_rate_hz = 320 ", f"sample_rate_hz = {rate} ")
@@ -58,7 +58,7 @@ def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(t
     honest(answers(result))
     assert answers(result)["XZ_payload_R"]["supported"]
     rows = log.read("load_cell")
-    assert len(rows) > 8.0 * rate
+    assert len(rows) > 6.5 * rate
     assert result["channels"]["load_cell"]["missing"] == 0
     saturated = rows["status"] & SampleStatus.SATURATED != 0
     assert (rows["status"].astype(bool) & ~saturated).nonzero()[0].tolist() == [0, 1, 2, 3]  # its filter settles
@@ -70,17 +70,17 @@ def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(t
 
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
     faults = [
-        *("--fault", "silent:load_cell:3:4", "--fault", "reset:load_cell:5", "--fault", "nack:load_cell:6:6.2"),
-        *("--fault", "off:load_cell:7:7.5", "--fault", "timeout:load_cell:8.5:8.6"),
+        *("--fault", "silent:load_cell:1.5:2.3", "--fault", "reset:load_cell:3", "--fault", "nack:load_cell:3.8:4"),
+        *("--fault", "off:load_cell:4.5:5", "--fault", "timeout:load_cell:5.6:5.7"),
     ]
-    result, log, _ = rehearsed(tmp_path, CELL, *faults)
+    result, log, _ = rehearsed(tmp_path, CELL, *faults, swing=4.5)
     honest(answers(result))
     told = codes_of(log, b"load_cell")
     assert told.count(b"bus_recovered") == 4
     assert told.count(b"brown_out") == 2
     rows = log.read("load_cell")
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 2
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.4e9
 
 
 @pytest.mark.parametrize("channel", ["bridge", "wing"])
@@ -101,17 +101,17 @@ def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
     assert abs(moment["value"] - moment["truth"]) < 2e-3  # kg m; through 100 ms it was 12 to 18e-3 off
     for joint in ("joint_1", "joint_2"):
         rows = log.read(joint)
-        assert len(rows) > 10.5 * 200
+        assert len(rows) > 9.0 * 200
         assert set(rows["status"]) == {0}
         assert set(rows["device_status"]) == {0x20}
 
 
 def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_path):
     faults = [
-        *("--fault", "field:joint_1:4:5:-0.7", "--fault", "field:joint_2:5:5.5:-1", "--fault", "off:joint_2:6:6.5"),
-        *("--fault", "silent:joint_1:7:7.3"),
+        *("--fault", "field:joint_1:2:3:-0.7", "--fault", "field:joint_2:3:3.5:-1", "--fault", "off:joint_2:4:4.5"),
+        *("--fault", "silent:joint_1:5:5.3"),
     ]
-    result, log, _ = rehearsed(tmp_path, JOINTS, *faults)
+    result, log, _ = rehearsed(tmp_path, JOINTS, *faults, swing=4.5)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     events = log.read("event")
     told = {(event["source"], event["code"]) for event in events}
@@ -137,8 +137,8 @@ def test_the_samples_of_an_icm20948_are_put_on_the_time_when_they_were_made(mixe
 
 def test_a_free_arm_with_an_icm20948_weighs_and_survives_its_unplugging(tmp_path):
     faults = [
-        *("--fault", "off:imu_base:3:4", "--fault", "nack:imu_base:5:5.3", "--fault", "timeout:imu_base:6:6.1"),
-        *("--fault", "reset:imu_base:7", "--fault", "garbage:imu_base:8:8.1"),
+        *("--fault", "off:imu_base:1.5:2.5", "--fault", "nack:imu_base:3.5:3.8", "--fault", "timeout:imu_base:4.5:4.6"),
+        *("--fault", "reset:imu_base:5.5", "--fault", "garbage:imu_base:6.5:6.6"),
     ]
     result, log, _ = rehearsed(tmp_path, INERTIAL, *faults)
     honest(answers(result))
@@ -148,4 +148,4 @@ def test_a_free_arm_with_an_icm20948_weighs_and_survives_its_unplugging(tmp_path
     assert told.count(b"bus_recovered") >= 3
     rows = log.read("imu_base")
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == told.count(b"started") - 1
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.4e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 6.9e9

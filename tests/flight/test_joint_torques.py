@@ -19,7 +19,15 @@ from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.online import MotionIdentifier
 from tests.flight.missions import Result
 
-OVER = '[payload]\nmass_kg = [4.0, 5.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'
+OVER = """
+[payload]
+mass_kg = [4.0, 5.0]
+[[sequence]]
+phase = 1
+action = "swing"
+duration_s = {swing}
+band_Hz = [0.2, 1.0]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +41,9 @@ def changed(vehicle: config.Vehicle, changes: dict[str, Any]) -> config.Vehicle:
     return config.parse_tree(config.laid_over(vehicle.tree, changes), vehicle.path, config.Origin("test"))
 
 
-def flight(vehicle: config.Vehicle, path: Path, changes: dict[str, Any]) -> Result:
+def flight(vehicle: config.Vehicle, path: Path, changes: dict[str, Any], swing_s: float) -> Result:
     over = path.with_suffix(".toml")
-    over.write_text(OVER)
+    over.write_text(OVER.format(swing=swing_s))
     world, urls = open_in_process(scenario_of(vehicle.path, over), 4)
     with world:
         flown = hil.fly_simulated(changed(vehicle, changes), world, urls, path)
@@ -44,7 +52,7 @@ def flight(vehicle: config.Vehicle, path: Path, changes: dict[str, Any]) -> Resu
 
 @pytest.fixture(scope="module")
 def flown(vehicle: config.Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return flight(vehicle, tmp_path_factory.mktemp("healthy") / "flight.mcap", {})
+    return flight(vehicle, tmp_path_factory.mktemp("healthy") / "flight.mcap", {}, 8.0)
 
 
 def covered(result: Result) -> tuple[int, int]:
@@ -78,7 +86,7 @@ def test_friction_of_each_drive_is_found(vehicle: config.Vehicle, flown: Result)
 
 def test_a_torque_that_reads_half_is_left_out_by_its_name(vehicle: config.Vehicle, tmp_path: Path) -> None:
     """The drive's rated torque is 10 N m."""
-    found = flight(vehicle, tmp_path / "half.mcap", {"device": {"joint_2": {"rated_torque_N_m": 5.0}}})
+    found = flight(vehicle, tmp_path / "half.mcap", {"device": {"joint_2": {"rated_torque_N_m": 5.0}}}, 9.0)
     assert [text for text in found.events("left_out") if "joint_2_torque" in text]
     inside, told = covered(found)
     assert told >= 6

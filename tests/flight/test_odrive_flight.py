@@ -19,7 +19,7 @@ def test_a_payload_is_weighed_by_its_torques(tmp_path):
     assert codes_of(log, b"joint_1") == [b"started"]
     for name in ("joint_1", "joint_2", "joint_2_torque"):
         rows = log.read(name)
-        assert len(rows) > 860
+        assert len(rows) > 715
         assert not rows["status"].any()
         assert (np.diff(rows["sequence"]) == 1).all()
 
@@ -41,17 +41,17 @@ def test_messages_that_wait_for_those_of_other_axes_have_the_times_of_their_esti
 
 def test_it_survives_unplugging_silence_a_brown_out_and_errors(tmp_path):
     faults = [
-        *("--fault", "unplug:odrives:2:2.6", "--fault", "silent:joint_1:4:4.3"),
-        *("--fault", "off:joint_2:5.5:6", "--fault", "trip:joint_1:7:7.5:8192"),
+        *("--fault", "unplug:odrives:1.5:2.1", "--fault", "silent:joint_1:2.8:3.1"),
+        *("--fault", "off:joint_2:3.8:4.3", "--fault", "trip:joint_1:5:5.5:8192"),
     ]
-    result, log, _ = rehearsed(tmp_path, ARM, *faults)
+    result, log, _ = rehearsed(tmp_path, ARM, *faults, swing=4.5)
     honest(answers(result))
     assert codes_of(log, b"odrives").count(b"bus_recovered") == 1
     assert b"axis_error" in codes_of(log, b"joint_1")
     assert b"restarted" in codes_of(log, b"odrives")
     rows = log.read("joint_2")
     assert (rows["status"] & SampleStatus.AFTER_RESET != 0).sum() == 1
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 8.5e9
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.5e9
 
 
 def test_an_axis_and_a_canopen_node_are_not_on_one_bus(tmp_path, capsys):

@@ -129,7 +129,15 @@ def test_with_thrusters_it_is_recorded_only():
     assert build_free_flyer(tracked("dymaflex_wheels"))[0].ekf.predictor.moving.size == 0
 
 
-OVER = '[payload]\nmass_kg = [1.0, 2.0]\n[[sequence]]\nphase = 1\naction = "swing"\nduration_s = 13.0\n'
+OVER = """
+[payload]
+mass_kg = [1.0, 2.0]
+[[sequence]]
+phase = 1
+action = "swing"
+duration_s = 8.0
+band_Hz = [0.2, 1.0]
+"""
 LENGTHS = 1.06
 
 

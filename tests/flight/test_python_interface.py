@@ -1,4 +1,4 @@
-"""``import heft`` on a whole flight, and the notebook that shows it."""
+"""``import heft`` on a flight, and the notebook that shows it."""
 
 import json
 import shutil
@@ -15,9 +15,9 @@ from tests.flight.missions import Result
 NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "notebook.ipynb"
 
 
-def test_a_flight_in_si_and_in_frames_by_sample_time(mission: Result) -> None:
-    log = heft.open(mission.path)
-    rows = mission.log.read("imu_base")
+def test_a_flight_in_si_and_in_frames_by_sample_time(short_mission: Result) -> None:
+    log = heft.open(short_mission.path)
+    rows = short_mission.log.read("imu_base")
     imu = log["imu_base"].to_pandas()
     assert imu.attrs["frame"] == "imu_base"
     assert imu.attrs["units"]["gyro_imu_base_z"] == "rad/s"
@@ -28,7 +28,7 @@ def test_a_flight_in_si_and_in_frames_by_sample_time(mission: Result) -> None:
     assert np.array_equal(joint["value"], (raw["value_raw"] - 1_000_000) * raw["scale"])
     assert joint["value"].attrs["units"] == "rad"
     said = log.estimates.to_pandas().drop_duplicates("name", keep="last").set_index("name")
-    for mass in mission.table["masses"]:
+    for mass in short_mission.table["masses"]:
         assert said["value"][mass["quantity"]] == mass["value"]
     even = log.resample(50.0, ["joint_1"])
     assert np.allclose(np.diff(even.time_s), 0.02)
@@ -38,11 +38,11 @@ def test_a_flight_in_si_and_in_frames_by_sample_time(mission: Result) -> None:
 
 @pytest.mark.timeout(1200)  # a hang, not a speed: it replays the flight and identifies from it
 def test_the_notebook_runs_in_jupyters_kernel_and_shows_what_it_shipped_with(
-    short_mission: Result, tmp_path: Path
+    brief_mission: Result, tmp_path: Path
 ) -> None:
     """All its cells, beside a log with the name that README's first command writes; outputs are of the kind shipped."""
     (tmp_path / "flights").mkdir()
-    (tmp_path / "flights" / "rocksat-001.mcap").symlink_to(short_mission.path)
+    (tmp_path / "flights" / "rocksat-001.mcap").symlink_to(brief_mission.path)
     shutil.copy(NOTEBOOK, tmp_path)
     command = [sys.executable, "-c", "from nbclient.cli import main; main()", "--inplace", NOTEBOOK.name]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

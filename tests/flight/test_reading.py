@@ -79,13 +79,14 @@ def test_a_phase_by_name_and_by_code(mission: Result, tmp_path: Path, capsys: py
     assert "it has phase 0, phase 1, phase 2, sweep 1" in capsys.readouterr().err
 
 
-def test_a_phase_of_the_aligned_table_is_cut_out_of_the_whole(mission: Result, tmp_path: Path) -> None:
-    dump_aligned(mission.log, tmp_path / "whole", 50.0, kind="npz")
+def test_a_phase_of_the_aligned_table_is_cut_out_of_the_whole(short_mission: Result, tmp_path: Path) -> None:
+    log = short_mission.log
+    dump_aligned(log, tmp_path / "whole", 50.0, kind="npz")
     cut = ["--aligned", "50", "--phase", "sweep 1", "--channel", "joint_1", "--channel", "load_cell"]
-    assert cli.main(["dump", str(mission.path), "--to", "npz", str(tmp_path / "cut"), *cut]) == cli.OK
+    assert cli.main(["dump", str(short_mission.path), "--to", "npz", str(tmp_path / "cut"), *cut]) == cli.OK
     with np.load(tmp_path / "whole" / "aligned.npz") as whole, np.load(tmp_path / "cut" / "aligned.npz") as part:
         assert "imu_base.gyro_imu_base_x" not in part
-        [window] = Selection(phases=("sweep 1",)).windows(mission.log, attached_vehicle(mission.log)) or []
+        [window] = Selection(phases=("sweep 1",)).windows(log, attached_vehicle(log)) or []
         chosen = (whole["vehicle_ns"] >= window[0]) & (whole["vehicle_ns"] < window[1])
         assert 100 < chosen.sum() < len(chosen)
         for name in ("vehicle_ns", "joint_1.value", "load_cell.value"):

@@ -68,7 +68,7 @@ def init_of(kind: str) -> list[str]:
 @pytest.mark.timeout(180)
 def test_it_flies_in_real_time_and_comes_back(tmp_path, rehearsal):
     faults = [word for fault in rehearsal.faults for word in ("--fault", fault)]
-    _, log, _ = rehearsed(tmp_path, rehearsal.init, "--realtime", *faults, swing=4.0)
+    _, log, _ = rehearsed(tmp_path, rehearsal.init, "--realtime", *faults, rest=3.0, swing=4.0)
     for channel, fewest in rehearsal.rows.items():
         assert len(log.read(channel)) > fewest
     for fault in rehearsal.faults:

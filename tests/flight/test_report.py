@@ -1,4 +1,4 @@
-"""The report of a whole mission: what it says against the log, and how it looks in a browser."""
+"""The report of a mission: what it says against the log, and how it looks in a browser."""
 
 import base64
 import gzip
@@ -64,13 +64,13 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page(mission: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(short_mission: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a log whose name would be markup."""
     vehicle = config.load(config.packaged("rocksat"))
     path = tmp_path_factory.mktemp("report") / "rocksat.html"
     log = path.with_name("<b>a&b.mcap")
-    log.symlink_to(mission.path)
-    truth.write(log, with_quantities(vehicle, mission.flown.truth))
+    log.symlink_to(short_mission.path)
+    truth.write(log, with_quantities(vehicle, short_mission.flown.truth))
     assert report(log, path) == ()
     return path
 
@@ -88,10 +88,10 @@ def test_it_needs_nothing_but_itself(page: Path) -> None:
     assert text.count("</script>") == text.count("<script") == 5
 
 
-def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: Result) -> None:
+def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, short_mission: Result) -> None:
     """The answers are those of the terminal's table: all of them, in its order, with its errors."""
     text = page.read_text()
-    told = [row for section in ("masses", "centres", "inertias", "parameters") for row in mission.table[section]]
+    told = [row for section in ("masses", "centres", "inertias", "parameters") for row in short_mission.table[section]]
     assert {row["quantity"] for row in told} >= {"m_tip_mass", "m_arm+m_tip_mass", "ZZ_joint_1_R_held"}
     rows = re.findall(r"<tr>(.*?)</tr>", text[text.index("Answers</h2>") :].split("</tbody>")[0])
     shown = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows[-len(told) :]]
@@ -99,12 +99,12 @@ def test_it_says_what_was_said_in_flight_and_what_was_true(page: Path, mission: 
     assert [row[5] for row in shown] == [f"{row['our_error_percent']:+.2f}" for row in told]
     assert [row[6] for row in shown] == ["yes" if row["covered"] else "no" for row in told]
     assert f"{sum(row['covered'] for row in told)} of {len(told)} intervals hold the truth." in text
-    for mass in mission.table["masses"]:
+    for mass in short_mission.table["masses"]:
         assert f"{1e3 * mass['value']:.1f}" in text
     assert "5 of 5 quantities are determined by the data." in text
     assert "No record is missing" in text
-    used = sum(int(np.count_nonzero(rows["gate"] == 0)) for _, rows in mission.log.batches(["row"]))
-    assert f"{used:,} of {len(mission.log.read('row')):,} rows went into the estimate." in text
+    used = sum(int(np.count_nonzero(rows["gate"] == 0)) for _, rows in short_mission.log.batches(["row"]))
+    assert f"{used:,} of {len(short_mission.log.read('row')):,} rows went into the estimate." in text
 
 
 def test_what_a_log_says_of_itself_cannot_become_markup(page: Path) -> None:

@@ -13,7 +13,7 @@ from onboard.recording.reader import LogReader
 from tests.flight.driven_bench import swings_csv
 from tests.flight.test_driven_flight import flown, plugged
 
-SECONDS = 9.0  # of the motion
+SECONDS = 8.0  # of the motion
 TIMEOUT_MS = 50  # in real time each round crosses two processes, which a busy computer may hold up
 REAL_TIMING = f"sample_period_ms = 10\ntimeout_ms = {TIMEOUT_MS}"
 NEW = ("--joints", "2", "--encoder", "dynamixel")

@@ -22,7 +22,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     assert any(answer["supported"] for answer in answers(result).values())
     for channel in CHANNELS:
         rows = log.read(channel)
-        assert len(rows) > 10.5 * 200
+        assert len(rows) > 9.0 * 200
         assert set(rows["status"]) == {0}
         assert result["channels"][channel]["missing"] <= 1
     assert codes_of(log, b"joint_2") == [b"identified"]
@@ -30,7 +30,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
 
 @pytest.mark.campaign  # by currents above, by a bridge with AS5600s and AS5048s
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
-    result, _, _ = rehearsed(tmp_path, WITH_CELL, swing=14.0, seed=6)
+    result, _, _ = rehearsed(tmp_path, WITH_CELL, rest=3.0, swing=14.0, seed=6)
     honest(answers(result))
     moment = answers(result)["MY_payload"]
     assert moment["supported"]
@@ -39,28 +39,28 @@ def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
 
 def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
     faults = [
-        *("--fault", "unplug:tty_servos:3:4", "--fault", "off:joint_2:5:6", "--fault", "garbage:joint_1:7:7.2"),
-        *("--fault", "silent:joint_1:7.5:8", "--fault", "byte_loss:tty_servos:8.2:8.6:0.02"),
+        *("--fault", "unplug:tty_servos:1.5:2.5", "--fault", "off:joint_2:3.2:4.2", "--fault", "garbage:joint_1:5:5.2"),
+        *("--fault", "silent:joint_1:5.5:6", "--fault", "byte_loss:tty_servos:6.2:6.6:0.02"),
     ]
-    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, swing=8.0)
+    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, swing=6.5)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert b"bus_recovered" in codes_of(log, b"tty_servos")
     for joint in (b"joint_1", b"joint_2"):
         assert codes_of(log, joint).count(b"silent") >= 1
         assert codes_of(log, joint).count(b"recovered") >= 1
         rows = log.read(joint.decode())
-        assert rows["host_ns"][-1] - rows["host_ns"][0] > 10.5e9
-        assert len(rows) > 1200
+        assert rows["host_ns"][-1] - rows["host_ns"][0] > 7.0e9
+        assert len(rows) > 800
 
 
 def test_an_overload_is_named_and_its_current_is_not_used(tmp_path):
-    result, log, _ = rehearsed(tmp_path, ARM, "--fault", "trip:joint_2:5:6", "--fault", "trip:joint_1:6:7:4")
+    result, log, _ = rehearsed(tmp_path, ARM, "--fault", "trip:joint_2:2:3", "--fault", "trip:joint_1:3:4:4", swing=4.0)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert codes_of(log, b"joint_2").count(b"hardware_error") == 1
     assert {b"hardware_error", b"hot"} <= set(codes_of(log, b"joint_1"))
     rows = log.read("joint_2_torque")
     bad = rows["status"] & SampleStatus.NOT_VALID != 0
-    assert rows["host_ns"][bad][0] - rows["host_ns"][0] == pytest.approx(5e9, abs=0.5e9)
+    assert rows["host_ns"][bad][0] - rows["host_ns"][0] == pytest.approx(2e9, abs=0.5e9)
     assert bad[np.argmax(bad) :].all()
     assert set(log.read("joint_2")["status"]) == {0}
 

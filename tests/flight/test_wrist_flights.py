@@ -35,10 +35,10 @@ def seconds_of(log):
 @pytest.mark.parametrize(
     ("kind", "usual", "rate", "seconds"),
     [
-        ("bota_ft", 400, 800, 7.9),  # the first second it starts
-        pytest.param("bota_ft", 400, 100, 7.9, marks=pytest.mark.campaign),
-        pytest.param("robotous_rft", 200, 333, 8.5, marks=pytest.mark.campaign),
-        pytest.param("onrobot_hex", 500, 1000, 8.8, marks=pytest.mark.campaign),
+        ("bota_ft", 400, 800, 6.4),  # the first second it starts
+        pytest.param("bota_ft", 400, 100, 6.4, marks=pytest.mark.campaign),
+        pytest.param("robotous_rft", 200, 333, 7.0, marks=pytest.mark.campaign),
+        pytest.param("onrobot_hex", 500, 1000, 7.3, marks=pytest.mark.campaign),
     ],
 )
 def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
@@ -56,7 +56,7 @@ def test_a_bota_ft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tm
         *("unplug:tty_wrist:2:2.3", "reset:fx:4", "off:mz:5.5:5.8", "silent:fy:7.5:7.7"),
         *("byte_loss:tty_wrist:7.8:8.2:0.002", "saturated:fz:8.3:8.5:1", "garbage:my:8.6:8.7"),
     ]
-    _, log, codes = flown(tmp_path, "bota_ft", *faults, change=WARM)
+    _, log, codes = flown(tmp_path, "bota_ft", *faults, rest=3.0, change=WARM)
     assert (codes.count(b"bus_error"), codes.count(b"bus_recovered"), codes.count(b"restarted")) == (1, 1, 2)
     assert codes.count(b"sensor_status") == codes.count(b"sensor_normal") == 1
     assert number_of(log, SampleStatus.AFTER_RESET) == 2
@@ -73,7 +73,7 @@ def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_li
         *("unplug:tty_wrist:2:2.3", "reset:fx:4", "silent:fy:7:7.2"),
         *("byte_loss:tty_wrist:7.4:7.9:0.002", "saturated:fz:8.3:8.5:1", "garbage:my:8.6:8.7"),
     ]
-    _, log, codes = flown(tmp_path, "robotous_rft", *faults)
+    _, log, codes = flown(tmp_path, "robotous_rft", *faults, rest=3.0)
     assert (codes.count(b"bus_error"), codes.count(b"silent"), codes.count(b"bus_recovered")) == (1, 1, 2)
     assert codes.count(b"sensor_status") == codes.count(b"sensor_normal") == 1
     assert number_of(log, SampleStatus.AFTER_RESET) >= 3
@@ -84,7 +84,7 @@ def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_li
 
 def test_an_onrobot_hex_survives_unplugging_and_brown_out_and_is_set_up_anew(tmp_path):
     faults = ["unplug:box:2:2.4", "unplug:box:3:4.5", "off:mz:5.5:5.8", "wrong:fz:8:8.1:1e5", "garbage:my:8.6:8.7"]
-    _, log, codes = flown(tmp_path, "onrobot_hex", *faults)
+    _, log, codes = flown(tmp_path, "onrobot_hex", *faults, rest=3.0)
     assert (codes.count(b"silent"), codes.count(b"bus_recovered"), codes.count(b"restarted")) == (2, 2, 1)
     assert codes.count(b"sensor_error") == codes.count(b"sensor_normal") == codes.count(b"bad_frame") == 1
     assert number_of(log, SampleStatus.AFTER_RESET) == 2

@@ -1,4 +1,4 @@
-"""``heft checkout``: the list walked against a vehicle with a device of every kind, and each automatic check."""
+"""``heft checkout``: the list walked against a vehicle with joints, cells and IMUs on six buses; automatic checks."""
 
 import json
 import os
@@ -19,13 +19,16 @@ from onboard.dynamics.model.vehicle import Joint
 from onboard.flight.check.checkout import CheckHost, Lengths, Record, checkout, pulse, render, write
 from onboard.flight.check.checkout_checks import CheckResult, judge_motion, judge_tare
 from onboard.flight.check.preflight import run_in_turn
-from tests.flight.mixed import DEVICES, LINKS, MixedWorld, vehicle
+from tests.flight.mixed import DEVICES, MixedWorld, only, vehicle
 from tests.hil_sim.devices.twin_bench import MS
 
 ROOT = Path(__file__).resolve().parents[3]
 HINGE = Joint("joint_1", (0.0, 0.0, 1.0), True, 7, 1, 6, -1.5, 1.5)
 CELL = LoadCellKeys(frame="link_4", axis=(1.0, 0.0, 0.0), measures="force", capacity_N=50.0, noise_N=0.01)
 T = np.linspace(0.0, 1.0, 500)
+MARKED = "imu_base", "imu_elbow", "elbow", "wrist"  # by the pulse
+JOINTS = 6
+WALKED = only(*MARKED, "pulse", "can_sync", "shoulder", "upper", "tip", "servo_6", "load_cell", "cell", "phase")
 
 
 class Script:
@@ -44,9 +47,9 @@ class Script:
         self.told.append(text)
 
 
-def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
-    with MixedWorld(directory) as world:
-        flying = vehicle(directory, world.urls)
+def walk(directory, operator, text=WALKED, dry_run=lambda: CheckResult((), "as in flight")):
+    with MixedWorld(directory, text) as world:
+        flying = vehicle(directory, world.urls, text)
 
         def wait(waited_s):
             for _ in range(max(1, round(waited_s * 1e3))):
@@ -56,12 +59,12 @@ def walk(directory, operator, dry_run=lambda: CheckResult((), "as in flight")):
             return run_in_turn(opened.devices, world.clock, wait, seconds)
 
         bench = CheckHost(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
-        return checkout(flying, None, bench, operator, Lengths(4.0, 1.6, 60.0))
+        return checkout(flying, None, bench, operator, Lengths(3.0, 1.6, 60.0))
 
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
-    unpowered = [f"range and sense of joint_{k}:" for k in range(4, LINKS + 1)]
+    unpowered = [f"range and sense of joint_{k}:" for k in range(4, JOINTS + 1)]
     left = {"tare of ": "skip the payload is on", **dict.fromkeys(unpowered, "skip no power")}
     operator = Script({**left, "range and sense of joint_2": "no it is blocked", "[Enter": "keep"})
     return walk(tmp_path_factory.mktemp("checkout"), operator), operator
@@ -75,15 +78,13 @@ def test_every_line_of_the_list_is_there_and_judged(walked):
     for name in ("power", "devices", "pulse", "disk", "dry run"):
         assert by_name[name].outcome == "passed", by_name[name]
     assert "imu_base" in by_name["devices"].found
-    assert {part.split()[0] for part in by_name["pulse"].found.removeprefix("marked: ").split(", ")} == {
-        *("imu_base", "imu_elbow", "elbow", "wrist")
-    }
+    assert {part.split()[0] for part in by_name["pulse"].found.removeprefix("marked: ").split(", ")} == set(MARKED)
     # The arm swings by 0.3 rad, joint_1 about 0.2 rad; the incremental encoder of joint_3 counts from its power-up.
     swings = [re.search(r"read (\S+) to (\S+) deg", by_name[f"range and sense of joint_{k}"].found) for k in (1, 3)]
     (low, high), (first, last) = (map(float, swing.groups()) for swing in swings)
     assert -5.8 < low < high - 5.0 < high < 28.7
     assert 5.0 < last - first < 34.5
-    assert {by_name[f"range and sense of joint_{k}"].outcome for k in range(4, LINKS + 1)} == {"left out"}
+    assert {by_name[f"range and sense of joint_{k}"].outcome for k in range(4, JOINTS + 1)} == {"left out"}
 
 
 def test_what_failed_or_was_left_out_is_recorded_with_the_operators_words(walked):

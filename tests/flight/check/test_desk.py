@@ -16,7 +16,7 @@ from rich.console import Console
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.cli.common import NOT_READY
 from onboard.flight.check.desk import DeskTest, alone, desk_tests, render
-from tests.flight.mixed import DEVICES, MixedWorld, vehicle, without
+from tests.flight.mixed import DEVICES, MixedWorld, only, vehicle, without
 from tests.hil_sim.devices.twin_bench import MS
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -26,7 +26,7 @@ LINES, COLUMNS = 24, 80  # of a terminal
 
 def tried(directory: Path, names: tuple[str, ...], text: str = DEVICES, seconds: float = 11.0) -> dict[str, DeskTest]:
     """Devices of the vehicle with every kind, by name; 11 s are ten windows of a second."""
-    with MixedWorld(directory) as world:
+    with MixedWorld(directory, text) as world:
 
         def wait(waited_s: float) -> None:
             for _ in range(max(1, round(waited_s * 1e3))):
@@ -48,9 +48,9 @@ def shown(test: DeskTest) -> list[str]:
 
 def noisy_tip(stated: str) -> str:
     """The vehicle's devices, of which the angle ``tip`` has that noise, rad."""
-    text = DEVICES.replace("noise_rad = 9e-4", f"noise_rad = {stated}")
-    assert text != DEVICES
-    return text
+    text = only(*NAMES, "can_sync", "pulse", "imu_elbow", "bridge", "upper")
+    assert "noise_rad = 9e-4" in text
+    return text.replace("noise_rad = 9e-4", f"noise_rad = {stated}")
 
 
 @pytest.fixture(scope="module")
