@@ -250,8 +250,8 @@ class JointDevice(BusDevice):
     """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
 
     On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
-    motor revolution, which are unknowns of the estimate; of one that has jumped they are noise. ``scale_sigma`` is of its
-    counts per revolution, relative, ``zero_sigma_rad`` of its zero; the intervals of rows contain both.
+    motor revolution, which are unknowns of the estimate; of one that has jumped they are noise. ``scale_sigma`` is of
+    its counts per revolution, relative, ``zero_sigma_rad`` of its zero; the intervals of rows contain both.
     ``gain``: what it reads of one radian, by ``counts_per_revolution``; negative where it counts against the joint.
     """
 
