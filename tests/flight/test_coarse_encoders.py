@@ -1,4 +1,7 @@
-"""A free-flyer whose joints have encoders of 12 bits: their noise made payloads light, by up to five sigmas."""
+"""A free-flyer whose joints have encoders of 12 bits: their noise made payloads light, by up to five sigmas.
+
+Behind the smoothing that ``heft init`` writes for them; behind one of 100 ms the mass is not determined.
+"""
 
 import json
 from pathlib import Path

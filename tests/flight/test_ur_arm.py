@@ -18,12 +18,12 @@ CHANNELS = tuple(f"joint_{n}{part}" for n in (1, 2) for part in ("", "_torque"))
 @pytest.mark.parametrize("rate", [pytest.param(125, marks=pytest.mark.campaign), 500])
 def test_an_arm_is_weighed_with_by_its_currents(tmp_path, rate):
     change = ("rate_hz = 125 ", f"rate_hz = {rate} ")
-    result, log, _ = rehearsed(tmp_path, ARM, swing=6.0, seed=6, change=change)
+    result, log, _ = rehearsed(tmp_path, ARM, rest=3.0, swing=6.0, seed=6, change=change)
     honest(answers(result))
     assert any(answer["supported"] for answer in answers(result).values())
     for channel in CHANNELS:
         rows = log.read(channel)
-        assert len(rows) == pytest.approx(7.5 * rate, abs=0.2 * rate)
+        assert len(rows) == pytest.approx(9.0 * rate, abs=0.2 * rate)
         assert set(rows["status"]) == {0}
         assert result["channels"][channel]["missing"] == 0
     assert codes_of(log, b"robot") == [b"identified", b"started", b"stopped"]
