@@ -43,7 +43,7 @@ class Sheets(NamedTuple):
             if scale is not None:
                 table[triad] |= {"scale_sigma": scale, "cross_axis_sigma": prior.get(f"{sensor}_cross_axis", 0.0)}
         turns = [prior[key] for key in ("gyro_misalignment_rad", "accelerometer_misalignment_rad") if key in prior]
-        turns = turns or [said[key] for key in ("misalignment_sigma_rad",) if said.get(key)]
+        turns = turns or [turn for turn in (said.get("misalignment_sigma_rad"),) if turn]
         if turns or "mounting_rad" in prior:
             table["mounting_sigma_deg"] = prior.get("mounting_rad", min(turns, default=0.0)) / _DEG
         return table

@@ -51,10 +51,10 @@ def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Consid
 
 def _level(considered: Sequence[Considered], base: str) -> Iterator[Considered]:
     """How far the base may not be level, by axis: as far as an IMU on it may err that is taken for what shows it."""
+    of_axes = [one.sigma for one in considered if one.effect == "accelerometer_misalignment"]
+    of_bias = [one.sigma / g for one in considered if one.effect == "accelerometer_bias"]
+    sigma = math.hypot(_UNSTATED * LIKELY_SIZE, max(of_axes, default=0.0), max(of_bias, default=0.0))
     for axis in range(3):
-        about = [one.sigma for one in considered if one.effect == "accelerometer_misalignment" and one.axis == axis]
-        along = [one.sigma / g for one in considered if one.effect == "accelerometer_bias" and one.axis == axis]
-        sigma = math.hypot(_UNSTATED * LIKELY_SIZE, *about, *along)
         yield Considered(f"level of {base}", base, "level", sigma, axis=axis)
 
 

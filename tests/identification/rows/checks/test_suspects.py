@@ -434,3 +434,13 @@ def test_a_cyclic_error_does_to_rows_what_its_column_says(rng):
     explained = size * (columns @ [*beta, 1.0])[..., sines].sum(axis=2)
     assert np.abs(right - wrong).max() > 1e-3
     np.testing.assert_allclose(explained, right - wrong, atol=0.01 * np.abs(right - wrong).max())
+
+
+def test_a_base_is_as_level_as_the_imu_on_it_can_show():
+    imu = [
+        Considered("turn", "imu", "accelerometer_misalignment", 0.003, axis=0),
+        Considered("bias", "imu", "accelerometer_bias", 0.03, axis=1),
+    ]
+    of_level = [[one.sigma for one in suspected(of, identifier().model) if one.effect == "level"] for of in ((), imu)]
+    assert of_level[0] == pytest.approx([1e-4] * 3)
+    assert of_level[1] == pytest.approx([np.hypot(0.003, 0.03 / 9.80665)] * 3, rel=1e-3)
