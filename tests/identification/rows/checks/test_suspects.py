@@ -405,10 +405,10 @@ def test_encoders_of_magnets_beside_their_axes_are_no_other_fault(heavy):
         who, blind = (identifier(more=more) for more in (ONCE_A_TURN, ()))
         bench.feed(who, given)
         bench.feed(blind, given)
-        known = [(one.mean, one.sigma, true) for one, true in zip(who.estimate().quantities, truth, strict=True)]
-        mean, sigma, true = np.array(known).T
+        known = [(one.value, one.sigma, true) for one, true in zip(who.estimate().quantities, truth, strict=True)]
+        value, sigma, true = np.array(known).T
         assert who.findings() == Findings()
-        assert (np.abs(mean - true) < 3.3 * sigma).all()
+        assert (np.abs(value - true) < 3.3 * sigma).all()
         assert blind.findings() != Findings()
 
 
