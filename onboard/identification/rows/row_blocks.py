@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.policy import AGAIN
 from onboard.estimation.recursive.consistency import BlockScores
 from onboard.regressor.rows import BASE_ROWS
 
 Listener = Callable[[FloatArray, NDArray[np.intp], FloatArray, FloatArray], None]
 """Gets the rows too: times (m,), instruments (m,), whitened ``[Y, y]`` (m, p + 1), and by which sigma (m,)."""
-
-
-_MOST_ESTIMATES = 512  # that are kept, evenly spaced
 
 
 class RowBlocks:
@@ -31,7 +29,7 @@ class RowBlocks:
 
     Attributes:
         listener: hears of the rows, if there is one.
-        estimates: at which C was made: since when, and the base parameters, (p,).
+        estimates: at which C was made: since when, and the base parameters, (p,); each of a fifth more time.
     """
 
     def __init__(self, parameters: int, block_s: float, instruments: tuple[str, ...], considered: int = 0) -> None:
@@ -73,10 +71,10 @@ class RowBlocks:
         """
         if self.listener is not None:
             self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None], sigma)
-        if mean is not None and self.considered and len(times_s):
-            self.estimates.append((float(times_s.min()), mean))
-            if len(self.estimates) > _MOST_ESTIMATES:
-                del self.estimates[1::2]
+        if mean is not None and self.considered:
+            now_s, since_s = float(times_s.min()), [at_s for at_s, _ in self.estimates]
+            if not since_s or now_s - since_s[0] > AGAIN * (since_s[-1] - since_s[0]):
+                self.estimates.append((now_s, mean))
         columns = [Y, y, sigma, C] if C is not None and self.considered else [Y, y, sigma]
         rows = np.column_stack(columns)  # whitened, that of sigma is one: it counts
         wider = None

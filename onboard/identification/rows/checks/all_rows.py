@@ -71,7 +71,7 @@ class AllRows:
             blocks, noise = seen.with_errors(*part)
             times_s = seen.times_s(*part)
             late = times_s >= since_s
-            count = (blocks + noise)[:, -1, -1]
+            count = blocks[:, -1, -1]
             rows += count.sum(), count[late].sum()
             if late.any():
                 blocks, own = blocks[late], seen.own(*part) * float(count[late].sum() / count.sum())

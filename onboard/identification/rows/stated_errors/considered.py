@@ -49,10 +49,7 @@ class Considered(NamedTuple):
     effect: Effect
     sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
-    axis: int | None = (
-        None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given.
-    )
-    # Of a cyclic error: the function that it is a multiple of, by its number in ``Signals.cyclic``
+    axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
 
     @property
     def is_common(self) -> bool:

@@ -111,8 +111,8 @@ class ConsideredErrors:
         now = float(np.linalg.norm(sums @ [*mean, 1.0]))
         moved = np.array([one - mean for _, one in estimates])  # (e, p)
         off = np.linalg.norm(np.einsum("kpq,eq->ekp", sums[..., :-1], moved), axis=(1, 2)) > (1.0 - MOST_SHARE) * now
-        last = int(np.flatnonzero(off).max(initial=-1))
-        return estimates[last + 1][0] if last + 1 < len(estimates) else np.inf
+        settled = 1 + int(np.flatnonzero(off).max(initial=-1))
+        return estimates[settled][0] if settled < len(estimates) else np.inf
 
     def restate(self, rls: SquareRootRls) -> None:
         """Give the recursion what the errors do to all of its rows at its estimate."""

@@ -46,7 +46,7 @@ def leans_on(
     parts = [(abs(float(leaning.weights @ parameters)), leaning.cause) for leaning in leanings]
     if parts and max(parts)[0] > SUPPORTED_SHRINKAGE * sigma:
         said.append(max(parts)[1])
-    return f"leans on {', '.join(said)}" if said else ""
+    return f"leans on {', '.join(dict.fromkeys(said))}" if said else ""
 
 
 def answered(

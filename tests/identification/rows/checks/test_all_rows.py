@@ -125,7 +125,7 @@ def test_errors_of_rows_of_before_the_estimate_settled_are_left_out(rng):
     y = Y @ BETA + 3.0 * effect + rng.standard_normal(len(times_s))
     C = np.where(times_s < 15.0, 0.1, 1.0) * effect
     one = np.ones(len(times_s))
-    seen.add(times_s, one > 0, cell, Y, y, one, one, None, C[:, None], BETA)
+    seen.add(times_s, one > 0, cell, Y, y, one, one, None, C[:, None])
     errors = SimpleNamespace(centre=np.zeros(P), sigma=np.array([*np.full(3, STATED), 1.0]), columns=[-1, -1, -1, 0])
     x, found = np.concatenate([BETA / PRIOR, np.zeros(4)]), []
     for since_s in (-np.inf, 15.0):
