@@ -20,12 +20,13 @@ from scipy.linalg import lstsq, qr
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.regressor.rows import BaseMotion, RowModel
 
 Vector3 = tuple[float, float, float]
 
 _KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "scale", "Ia", "Fv", "Fc", "zero")
+_OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")
 _TOLERANCE = 1e-9  # relative to a column's norm
 
 
@@ -61,6 +62,11 @@ class BaseParameters:
     independent: NDArray[np.intp]
     grouping: FloatArray
     standard_names: tuple[str, ...]
+
+    @property
+    def of_bodies(self) -> BoolArray:
+        """Which are of bodies and joints, not of an instrument, (p,)."""
+        return np.array([not name.startswith(_OF_INSTRUMENTS) for name in self.names], np.bool_)
 
     def reduce(self, Y: FloatArray) -> FloatArray:
         """The base regressor ``Y[:, independent]``, (..., p), from the standard one, (..., P)."""

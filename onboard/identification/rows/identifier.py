@@ -41,7 +41,6 @@ from onboard.regressor.rows import BaseMotion, RowModel
 from onboard.regressor.signals import Signals
 
 _SEEN_SHARE = 0.4  # of a jackknife block: two kernels
-_OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")  # parameters that are no body's
 _APART_s = 1e6  # between rows with the payload and those of another recording: no block, and no period, holds both
 
 
@@ -147,10 +146,10 @@ class Identifier:
             self.errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
-        self._physical = np.array([not name.startswith(_OF_INSTRUMENTS) for name in base.names])
+        self._physical = base.of_bodies
         self._stated: StatedSigmas | None = None
         if stated and not free and not self._scales and start is None and memory == FOR_EVER:
-            of = considered, instruments, base, model.chi, self._physical, self._as_stated
+            of = considered, instruments, base, model.chi, self._as_stated
             self._stated = StatedSigmas(stated, *of)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
 
@@ -274,9 +273,9 @@ class Identifier:
         self.recursion.add(times + _APART_s * self._recorded_apart * attached[at][tick], rows, y, sigma, C, doubt)
         if self._instruments is not None:
             moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
-            taken = MotionRows(*moved, use, rows, y, own, changes, group, C)
-            self._instruments.take(taken)
-        self.seen.add(times, attached[at][tick], self._instrument[row], rows, y, sigma, own, doubt, C, mean)
+            self._instruments.take(MotionRows(*moved, use, rows, y, own, changes, group, C))
+        of = times, attached[at][tick], self._instrument[row]
+        self.seen.add(*of, rows, y, sigma, own, doubt, C, mean, self.errors.noise(signals, at[tick], doubt, mean))
         if self._corrections is not None and noisy.C is not None:
             self._corrections.add(times, rows, y, sigma, noisy.C, doubt, mean)
         self.rows_used += y.size
@@ -303,7 +302,8 @@ class Identifier:
             return self._as_stated
         if self._taken is None or self._taken[0] != self.rows_used:
             mean = self.recursion.least_squares()
-            self._taken = self.rows_used, self._stated.taken(self._as_stated, self.seen, mean, self._inflation**2)
+            asked = self.seen, mean, self._inflation**2, self.errors.settled_s(self.seen, mean)
+            self._taken = self.rows_used, self._stated.taken(self._as_stated, *asked)
         return self._taken[1]
 
     def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:

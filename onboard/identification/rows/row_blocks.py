@@ -54,6 +54,7 @@ class RowBlocks:
         noise: FloatArray | None,
         C: FloatArray | None = None,
         mean: FloatArray | None = None,
+        errors: FloatArray | None = None,
     ) -> None:
         """Takes rows in as :meth:`BlockScores.add` does.
 
@@ -68,6 +69,7 @@ class RowBlocks:
             noise: (m, s, p + 1) of the motion, per sigma of a signal.
             C: (m, k) what considered errors do to the rows; None where there are none.
             mean: (p,) at which estimate they do; not needed where they are none.
+            errors: (m, s, k) noise of C, as that of the motion.
         """
         if self.listener is not None:
             self.listener(times_s, instrument, np.column_stack([Y, y]) / sigma[:, None], sigma)
@@ -81,6 +83,8 @@ class RowBlocks:
         if noise is not None:
             wider = np.zeros((*noise.shape[:2], rows.shape[1]))
             wider[..., : noise.shape[2]] = noise
+            if errors is not None and self.considered:
+                wider[..., self._made :] = errors
         for (kind, number), blocks in self._blocks.items():
             mine = (held == kind) & (instrument == number)
             if mine.any():

@@ -6,11 +6,8 @@ from itertools import count
 from onboard import config
 from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.estimation.arrays import FloatArray
-from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
 from onboard.identification.rows.stated_errors.stated import Stated
-from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
 _OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
@@ -34,8 +31,9 @@ def of_motion(roles: Roles, model: VehicleModel) -> list[Considered]:
         found.append(Considered(f"zero of {name}", at, "joint_zero", joint.zero_sigma_rad, f"{name} zero_sigma_rad"))
         found.append(Considered(f"delay of {name}", at, "joint_delay", joint.delay_sigma_s, f"{name} delay_sigma_ms"))
         cyclic = f"cyclic error of {name}"
-        for _, rms in roles.signals[name].ripple:
-            found += [Considered(cyclic, at, "joint_cyclic", rms, axis=next(functions)) for _ in ("cosine", "sine")]
+        for periods, rms in roles.signals[name].ripple:
+            for _ in ("cosine", "sine"):
+                found.append(Considered(cyclic, at, "joint_cyclic", rms, axis=next(functions), periods=periods))
     for imu in roles.imus[:1]:
         found += _of_imu(imu)
     return [cause for cause in found if cause.sigma > 0.0]
@@ -127,20 +125,8 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
     return found
 
 
-def row_suspects(
-    vehicle: config.Vehicle, model: RowModel, base: BaseParameters, prior: FloatArray, considered: Sequence[Considered]
-) -> RowSuspects | None:
-    """What may not be as stated of an arm on a fixed base without motors of unknown friction; None of another.
-
-    Args:
-        vehicle: its file.
-        model: its rows.
-        base: their base parameters.
-        prior: root of the covariance of the standard parameters, (P, P).
-        considered: errors that the rows consider.
-    """
+def weighs_suspects(vehicle: config.Vehicle, model: RowModel) -> bool:
+    """Whether the rows are of an arm on a fixed base without motors of unknown friction, and none is forgotten."""
     settings = vehicle.file.estimation
     forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
-    if model.vehicle.spec.base.moves or model.motors or forgets or settings.carried:
-        return None
-    return RowSuspects(model, base, prior, considered)
+    return not (model.vehicle.spec.base.moves or model.motors or forgets or settings.carried)

@@ -12,7 +12,14 @@ from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
 from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
-from onboard.flight.estimate.problem.considered import of_bias, of_cell, of_gains, of_motion, row_suspects, stated_by
+from onboard.flight.estimate.problem.considered import (
+    of_bias,
+    of_cell,
+    of_gains,
+    of_motion,
+    stated_by,
+    weighs_suspects,
+)
 from onboard.flight.estimate.problem.model import build_model, naming_the_file, samples_in_tick, samples_per_tick
 from onboard.flight.estimate.problem.priors import (
     biases,
@@ -45,6 +52,8 @@ from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredi
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
+from onboard.identification.rows.checks.suspected import of_no_key
+from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
@@ -212,6 +221,8 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows += base_moment_rows(model)
         level = level_root(vehicle, roles) if zero_force is None else None
         row_model = RowModel(model, rows, zero_force is not None or level is not None, _motors(vehicle, roles))
+        weighed = weighs_suspects(vehicle, row_model)
+        considered += of_no_key(considered, row_model) if weighed else []
         offsets = dict.fromkeys(row_model.zero_force, zero_force or 0.0)
         prior = row_prior(settings.prior, row_model, {**offsets, **scales}, level)
         known = np.asarray(~prior.any(axis=1), np.bool_)
@@ -241,7 +252,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
-            suspects=row_suspects(vehicle, row_model, base, prior, considered),
+            suspects=RowSuspects(row_model, base, prior, considered) if weighed else None,
             recorded_apart=vehicle.is_recorded,
         )
     return identifier, model

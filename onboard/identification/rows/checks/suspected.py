@@ -7,21 +7,23 @@ frame may be turned in their mount, the base not level.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.constants import g
 
 from onboard.estimation.arrays import ROUNDING, FloatArray, IndexArray
 from onboard.estimation.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DELAY_s
-from onboard.identification.evidence.bank import Bank, Suspect
+from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
+from onboard.identification.rows.stated_errors.equations import RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
-_UNSTATED = 1e-3  # of the size of a suspect: sigma of an error of which the file states none
+_UNSTATED = 1e-5  # of the size of a suspect: sigma of an error of which the file states none
+_TURNS: Effect = "accelerometer_misalignment"  # of a base that stands: how far it is from level
 _OF_ENCODER: tuple[tuple[Effect, str, float], ...] = (
     ("joint_zero", "zero", LIKELY_SIZE),
     ("joint_scale", "scale", LIKELY_SIZE),
@@ -49,9 +51,31 @@ def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Consid
     return (*stated, *_level(considered, model.vehicle.spec.base_link), *more)
 
 
+def of_no_key(considered: Sequence[Considered], model: RowModel) -> list[Considered]:
+    """Errors of angles, and of the level, of which the file states none: next to none, unless the rows contradict it.
+
+    They have columns in the rows as those that are stated have.
+    """
+    known = {(one.row, one.effect) for one in considered}
+    asked: list[tuple[str, Effect, str, float, int | None]] = [
+        (joint.name, effect, what, size, None)
+        for joint in model.vehicle.joints
+        for effect, what, size in _OF_ENCODER
+        if effect != "joint_delay" and (joint.name, effect) not in known
+    ]
+    if not any(one.effect == _TURNS for one in considered):
+        asked += [(model.vehicle.spec.base_link, _TURNS, "level", LIKELY_SIZE, axis) for axis in range(3)]
+    return [
+        Considered(
+            f"{what} of {row}", row, effect, _UNSTATED * size, f"{what} of {row}, of which no key says more", axis
+        )
+        for row, effect, what, size, axis in asked
+    ]
+
+
 def _level(considered: Sequence[Considered], base: str) -> Iterator[Considered]:
     """How far the base may not be level, by axis: as far as an IMU on it may err that is taken for what shows it."""
-    of_axes = [one.sigma for one in considered if one.effect == "accelerometer_misalignment"]
+    of_axes = [one.sigma for one in considered if one.effect == _TURNS]
     of_bias = [one.sigma / g for one in considered if one.effect == "accelerometer_bias"]
     sigma = math.hypot(_UNSTATED * LIKELY_SIZE, max(of_axes, default=0.0), max(of_bias, default=0.0))
     for axis in range(3):
@@ -67,7 +91,7 @@ class ErrorState:
         prior_root: L of the prior covariance of the standard parameters, (P, P).
         considered: errors that the recursion considers.
         remade: whether rows are made again about any error; else those that are not considered are left out, but those
-            of cells' scales, and sensors of motion are as wrong as stated and no suspects.
+            of cells' scales, and delays of encoders are as stated and no suspects.
 
     Attributes:
         of_instruments: those of instruments, e.
@@ -94,12 +118,13 @@ class ErrorState:
         self.columns = [considered.index(one) if one in considered else -1 for one in self.of_instruments]
         self._grouping = base.grouping
         self._active = np.flatnonzero((base.grouping @ prior_root).any(axis=0))
-        self.parameters, self.centre = len(self._active), base.value(model.chi)
+        self.parameters, self.centre, self._bodies = len(self._active), base.value(model.chi), base.of_bodies
         self.sigma = np.array([one.sigma for one in self.of_instruments])
         self._each = np.concatenate([np.diag(prior_root)[self._active], self.sigma])
         asked = [*self._links(model, prior_root), *self._instruments(model)]
-        fixed = [] if remade else [k for k, one in enumerate(self.of_instruments) if one.effect in OF_MOTION]
-        asked = [one for one in asked if not np.isin(one.at, self.parameters + np.array(fixed)).any()]
+        self._moving = self._of(lambda one: one.effect in (*OF_MOTION, _TURNS))
+        fixed = np.zeros(0, np.intp) if remade else self._of(lambda one: one.effect == "joint_delay")
+        asked = [one for one in asked if not np.isin(one.at, fixed).any()]
         suspects = [one for one in asked if len(one.at) and np.abs(one.along).max() < 1.0 / ROUNDING]  # else exact
         self.bank = Bank(suspects, np.ones(len(self._each)))
 
@@ -107,9 +132,15 @@ class ErrorState:
         """``G L``, (p, n), of a prior, L (P, P)."""
         return np.asarray((self._grouping @ prior_root)[:, self._active], np.float64)
 
-    def scale_of(self, row: str) -> int:
-        """Place of the error of a cell's scale, which is not estimated, among those of instruments."""
-        return int(self._places(row, "scale")[0]) - self.parameters
+    def of(self, half: FloatArray, instruments: Sequence[str]) -> RowErrors:
+        """These errors, where cells have no estimated scale; ``half``: of the prior; ``instruments``: names of rows."""
+        reads = [[(one.row, one.effect) == (name, "scale") for name in instruments] for one in self.of_instruments]
+        return RowErrors(half, self.centre, self.sigma, self.columns, np.array(reads), self._bodies)
+
+    def moves(self, weighed: Weighed | None) -> bool:
+        """Whether by the likeliest hypothesis angles, or the level, are not as stated: rows are not linear in these."""
+        suspect = weighed.likeliest.suspect if weighed else None
+        return suspect is not None and bool(np.isin(suspect.at, self._moving).any())
 
     def _links(self, model: RowModel, prior_root: FloatArray) -> Iterator[Suspect]:
         """Links that the rows show and that are not the payload."""
@@ -133,7 +164,8 @@ class ErrorState:
             if len(joints) > 1:
                 yield self._alone(f"{what}s of all joints", np.concatenate(every), size, odds)
         base = model.vehicle.spec.base_link
-        yield self._alone(f"level of {base}", self._places(base, "level"), LIKELY_SIZE, ODDS_OF_PART)
+        level = self._of(lambda one: one.effect in ("level", _TURNS))
+        yield self._alone(f"level of {base}", level, LIKELY_SIZE, ODDS_OF_PART)
         for frame in dict.fromkeys(row.frame for row in model.rows):
             yield self._alone(f"cells at {frame}", self._places(frame, "turned"), LIKELY_SIZE, ODDS_OF_PART)
         yield from self._cells(model)
@@ -164,8 +196,11 @@ class ErrorState:
 
     def _places(self, row: str, effect: Effect) -> IndexArray:
         """Of the errors of an instrument in the state."""
-        mine = [(one.row, one.effect) == (row, effect) for one in self.of_instruments]
-        return self.parameters + np.flatnonzero(mine)
+        return self._of(lambda one: (one.row, one.effect) == (row, effect))
+
+    def _of(self, which: Callable[[Considered], bool]) -> IndexArray:
+        """Places of some errors of instruments in the state."""
+        return self.parameters + np.flatnonzero([which(one) for one in self.of_instruments])
 
     def _scaled(self, name: str, at: IndexArray, odds: float) -> Suspect:
         """Scales of cells, by one factor."""

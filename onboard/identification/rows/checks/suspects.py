@@ -9,9 +9,9 @@ All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with 
 those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
 stated. Equations are, where scales are stated, the sums over all rows
-(:mod:`onboard.identification.rows.checks.all_rows`); where they are estimated, or rows contradict each other, rows of
-kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`), those included that the recursion
-refuses.
+(:mod:`onboard.identification.rows.checks.all_rows`); where they are estimated, where rows contradict each other, or
+where angles are likelier wrong, in which rows are not linear, rows of kept ticks that are made again
+(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
 more than are correlated. Outliers have Huber's weights.
@@ -43,13 +43,14 @@ from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
-from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED, AllRows, explained
+from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED, explained
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import RowsRemade
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered, rate_of
 from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors
+from onboard.identification.rows.stated_errors.equations import ErrorEquations
 from onboard.identification.rows.stated_errors.stated import Taken
 from onboard.identification.windows import SHORTEST
 from onboard.regressor.base_parameters import BaseParameters
@@ -167,11 +168,13 @@ class RowSuspects:
         if not scaled:
             self._weigh_all(of, mean)
         likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
-        if scaled or contradicted:
+        exact = not scaled and self.explains and self._of_all_rows.moves(self.weighed)
+        if scaled or contradicted or exact:
             self._weigh(ticks, mean, of.correlation, of.seen)
-        if contradicted and not scaled:
-            assert self.weighed is not None
-            self.explains &= self.weighed.names[:1] == likeliest and not self.judged()[0]
+        if exact:
+            self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
+        elif contradicted and not scaled:
+            self.explains &= bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
             self.answer = answer
 
     def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
@@ -217,18 +220,15 @@ class RowSuspects:
         """
         errors, own = self._of_all_rows, slice(0, self._n)
         half, seen = errors.half(of.taken.prior_root), of.seen
-        size = np.sqrt(np.maximum(np.diag(seen.total())[:-2], _TINY))
-        since_s = of.errors.settled_s(seen.estimates, mean, 1.0 / size)
-        scales = [errors.scale_of(row) for row in self._names]
-        rows = AllRows(seen, half, errors, scales, of.correlation, since_s)
+        since_s = of.errors.settled_s(seen, mean)
+        rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
+        self.explains = False
         if rows.share < MOSTLY:
-            self.explains = False
             return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
         try:
-            weighed, more = explained(rows, errors.bank, x)
+            weighed, more = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
         except np.linalg.LinAlgError:  # Gauss and Newton have gone where rows are not linear
-            self.explains = False
             return
         self.weighed, self._left, self.explains = weighed, None, more is not None
         if more is not None:

@@ -41,7 +41,8 @@ _STEP_S = 1e-4  # of a delay
 class Considered(NamedTuple):
     """An error common to all readings of one instrument, with a known sigma.
 
-    ``axis`` of a cyclic error is the number of the function in ``Signals.cyclic`` that it is a multiple of.
+    ``axis`` of a cyclic error is the number of the function in ``Signals.cyclic`` that it is a multiple of: a cosine,
+    or its sine after it.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Considered(NamedTuple):
     sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
     axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
+    periods: float = 1.0  # of a cyclic error, in a turn
 
     @property
     def is_common(self) -> bool:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import MOST_SHARE
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.identification.rows.stated_errors.considered import Considered, columns
+from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.considered import Considered, columns, misread_noise
 from onboard.identification.rows.stated_errors.whitening import NoisyRows
 from onboard.regressor.rows import BaseMotion, RowFold, RowModel
 from onboard.regressor.signals import Signals
@@ -44,6 +45,10 @@ class ConsideredErrors:
     def __init__(self, considered: Sequence[Considered], model: RowModel, fold: RowFold, parameters: int) -> None:
         self._considered, self._model, self._fold, self._p = tuple(considered), model, fold, parameters
         self._sums: FloatArray | None = None  # (k, p, p + 1)
+        self._joints = [joint.name for joint in model.vehicle.joints]
+        misread = misread_noise(considered, self._joints)
+        self._noisy = np.nonzero(misread.any(axis=2))  # errors, and signals of which their columns have noise
+        self._misread = misread[self._noisy].T  # (s, such pairs)
 
     def remember(self, start: Start | None) -> None:
         """Keep what all rows from now on have, for :meth:`restate`.
@@ -96,16 +101,48 @@ class ConsideredErrors:
             self._sums += added.transpose(1, 0, 2)
         return rows._replace(C=D @ [*mean, 1.0])
 
-    def settled_s(self, estimates: Sequence[tuple[float, FloatArray]], mean: FloatArray, scale: FloatArray) -> float:
-        """Since when the errors did to the rows what they do at an estimate, but for a tenth.
+    def noise(
+        self, signals: Signals, at: NDArray[np.intp], motion: FloatArray | None, mean: FloatArray
+    ) -> FloatArray | None:
+        """Noise of ``d y / d c``, by that of the motion, see :func:`misread_noise`; cyclic errors have it, too.
 
         Args:
-            estimates: of before: from when on, and (p,).
+            signals: of all ticks.
+            at: tick of each row, (r,).
+            motion: what a sigma of each signal does to a row, (r, s, p + 1); None where none is known.
             mean: the estimate, (p,).
-            scale: of each parameter, by which effects on them are added up, (p,).
+
+        Returns:
+            (r, s, k); none of a base that falls, whose rows keep no such columns.
         """
+        if motion is None or self._model.vehicle.spec.base.falls:
+            return None
+        effect = motion @ [*mean, -1.0]
+        made = np.zeros((*effect.shape, len(self._considered)))
+        of, by = self._noisy
+        made[:, by, of] = effect @ self._misread
+        for k, cause in enumerate(self._considered):
+            if cause.effect == "joint_cyclic" and signals.cyclic is not None:
+                function = cause.axis or 0
+                partner = signals.cyclic[at, 0, function ^ 1]  # of a cosine the sine, which is minus its slope
+                slope = cause.periods * (partner if function % 2 else -partner)
+                own = self._joints.index(cause.row) + len(self._joints) * np.arange(3)
+                made[:, own, k] = -slope[:, None] * effect[:, own]
+        return made
+
+    def settled_s(self, seen: RowBlocks, mean: FloatArray) -> float:
+        """Since when the errors did to the rows what they do at an estimate, but for a tenth.
+
+        Effects on parameters are added up in units of what the rows alone tell of each.
+
+        Args:
+            seen: the rows.
+            mean: the estimate, (p,).
+        """
+        estimates = seen.estimates
         if self._sums is None or not estimates:
             return -np.inf
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(seen.total())[:-2], np.finfo(np.float64).tiny))
         sigma = np.array([cause.sigma for cause in self._considered])
         sums = self._sums * (sigma[:, None, None] * scale[:, None])  # (k, p, p + 1)
         now = float(np.linalg.norm(sums @ [*mean, 1.0]))

@@ -24,10 +24,10 @@ same odds, the answer covers both, its interval reaching as far as that factor w
 bodies as drawn, so that its equations are linear however large it is. Free widths are paid
 for: the evidence of each hypothesis has Student's density of its errors in place of the normal one of fitted width.
 
-Errors of gains are estimated beside the parameters here, ``y = exp(e) Y chi`` about the last estimate (a column of
-readings would be of their noise, and shrink the gain); the estimate itself considers them. Noise first: each
-instrument's is as large as what it leaves over, and all information is divided by how much more the scores of blocks
-scatter than it says, since what friction and gears leave is alike for seconds.
+All errors are estimated beside the parameters here, those of instruments too
+(:mod:`onboard.identification.rows.stated_errors.equations`), and of an error whose key is wishful the others are no
+part: what an encoder does is not given to a gain. The estimate itself considers them. Delays are as stated: what they
+do to rows is made of derivatives, whose noise is not that of the rows.
 
 The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
 do where scales of cells are estimated by them.
@@ -41,10 +41,11 @@ from scipy.special import gammaln
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import ITERATIONS, ROUNDS
-from onboard.estimation.policy import HALF, ODDS
+from onboard.estimation.policy import HALF, MOSTLY, ODDS
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 
 
@@ -57,6 +58,7 @@ class Stated(NamedTuple):
 
 FREEDOM = 4.0
 """Degrees of freedom of the errors: what Lange, Little and Taylor find to serve where the data cannot tell it."""
+_GAIN = "scale_sigma"  # what is common to all that state an instrument's
 _SETTLED = 0.02  # relative change of a width in a step
 
 
@@ -77,34 +79,15 @@ class Taken(NamedTuple):
         return cls(rls, np.array([cause.sigma for cause in considered]), prior_root, base.covariance(prior_root))
 
 
-class _Part(NamedTuple):
-    """Rows of one instrument, with the payload or without."""
-
-    instrument: int
-    whole: FloatArray  # (p + 2, p + 2) normal equations with the noise of their regressor
-    rows: float  # their number
-    equations: FloatArray  # (b, p, p + 1) of each block without that noise: information, and its right-hand side
-    information: FloatArray  # (p, p) sum of these
-    times_s: FloatArray  # when each block begins, (b,)
-
-
-def _part(blocks: RowBlocks, held: bool, number: int) -> _Part:
-    own, noise = blocks.apart(held, number)
-    every, p = own.sum(axis=0), own.shape[1] - 2
-    whole = every + noise.sum(axis=0)
-    return _Part(number, whole, float(whole[-1, -1]), own[:, :p, : p + 1], every[:p, :p], blocks.times_s(held, number))
-
-
 class StatedSigmas:
     """The sigmas of one vehicle file.
 
     Args:
         columns: of the standard parameters, P.
-        considered: errors; those of an instrument's gain are looked at.
+        considered: errors of instruments, each with a column in the rows unless it is a gain.
         instruments: that make the rows.
         base: the base parameters.
         chi: standard parameters as drawn, (P,).
-        physical: which base parameters are of bodies, not of an instrument, (p,).
         stated: what is taken for granted if nothing contradicts it.
     """
 
@@ -115,31 +98,37 @@ class StatedSigmas:
         instruments: Sequence[str],
         base: BaseParameters,
         chi: FloatArray,
-        physical: BoolArray,
         stated: Taken,
     ) -> None:
-        self._gains = [k for k, cause in enumerate(considered) if cause.effect == "scale"]
-        gains = [Stated(considered[k].key, "scale_sigma") for k in self._gains]
-        self._rows = [None if considered[k].is_common else instruments.index(considered[k].row) for k in self._gains]
-        half, sigma, centre = base.grouping @ stated.prior_root, stated.considered[self._gains], base.value(chi)
-        p, P, k = *half.shape, len(gains)
-        self._base = base
-        every = [*columns, *gains]
-        self._active = np.flatnonzero(np.concatenate([half.any(axis=0), sigma > 0.0]))
-        self._L = np.zeros((p + k, P + k))
-        self._L[:p, :P], self._L[p:, P:] = half, np.diag(sigma)
-        self._L = self._L[:, self._active]
-        self._centre = np.concatenate([centre, np.zeros(k)])
-        self._bodies, self._shape = np.flatnonzero(physical), (P, k)
-        self.stated = tuple(dict.fromkeys(every[column] for column in self._active))
-        self._key: IndexArray = np.array([self.stated.index(every[column]) for column in self._active], np.intp)
+        self._causes = [k for k, one in enumerate(considered) if one.sigma > 0.0 and one.effect != "held_scale"]
+        causes = [considered[k] for k in self._causes]
+        half = base.grouping @ stated.prior_root
+        self._active = np.flatnonzero(half.any(axis=0))
+        is_gain = np.array([one.effect == "scale" for one in causes], np.bool_)
+        of_all = np.array([one.is_common for one in causes], np.bool_)
+        reads = np.array([one.row == name for one in causes for name in instruments], np.bool_)
+        self._base, self._gains = base, np.flatnonzero(is_gain)
+        self._errors = RowErrors(
+            half[:, self._active],
+            base.value(chi),
+            np.array([one.sigma for one in causes]),
+            np.where(is_gain, -1, self._causes).astype(int).tolist(),
+            is_gain[:, None] & (reads.reshape(len(causes), len(instruments)) | of_all[:, None]),
+            base.of_bodies,
+        )
+        kinds_of = [Stated(one.key or one.name, _GAIN if one.effect == "scale" else one.effect) for one in causes]
+        every = [*(columns[k] for k in self._active.tolist()), *kinds_of]
+        self.stated = tuple(dict.fromkeys(every))
+        self._key: IndexArray = np.array([self.stated.index(one) for one in every], np.intp)
         kinds = list(dict.fromkeys(one.kind for one in self.stated))
         self._kind: IndexArray = np.array([kinds.index(one.kind) for one in self.stated], np.intp)
         self._many = np.bincount(self._key).astype(np.float64)  # errors of each key
-        common = {gains[number] for number, row in enumerate(self._rows) if row is None}
-        self._common = np.array([one in common for one in self.stated], np.bool_)
+        own = self._key[len(self._active) :]
+        self._common = np.isin(np.arange(len(self.stated)), own[of_all])
+        as_stated = [one.effect.endswith("delay") for one in causes]
+        self._free = ~self._common & ~np.isin(np.arange(len(self.stated)), own[as_stated])
 
-    def taken(self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float) -> Taken:
+    def taken(self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float, since_s: float) -> Taken:
         """What is taken for granted after the rows.
 
         Args:
@@ -147,19 +136,24 @@ class StatedSigmas:
             blocks: the rows.
             mean: the estimate by what is stated, (p,).
             correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
+            since_s: when errors began to do to rows what they do at the estimate. Where that is not so for most rows,
+                gains are all that is looked at of instruments.
         """
-        X = np.concatenate([mean, np.zeros(len(self._rows))])
+        rows = ErrorEquations(blocks, self._errors, correlation, since_s)
+        if rows.share < MOSTLY:
+            rows = ErrorEquations(blocks, self._errors._replace(columns=[-1] * len(self._causes)), correlation)
+        X, active = np.append(mean, np.zeros(len(self._causes))), len(self._active)
         n = len(self.stated)
-        as_it_is = _Widths(np.ones(n), np.zeros(len(self._active)), np.zeros(n))
-        parts, many, free = [_part(blocks, *part) for part in blocks.parts], as_it_is, ~self._common
+        as_it_is = _Widths(np.ones(n), np.zeros(len(self._key)), np.zeros(n))
+        many = as_it_is
         for _ in range(ROUNDS):
-            A, r = self._information(*self._equations(parts, X, correlation, X), X, many.width)
-            many = self._settled(A, r, many.width, free)
-            X = self._centre + self._L @ many.errors
+            A, r = self._information(rows, X, many.width)
+            many = self._settled(A, r, many.width, self._free)
+            X = rows.at(many.errors)
         nothing, of_many = (self._evidence(A, r, each) for each in (as_it_is, many))
         one, of_one = as_it_is, nothing
         if self._common.any():
-            by_factor = self._information(*self._of_one_factor(parts, X, correlation), many.width)
+            by_factor = self._of_one_factor(rows, X, many.width)
             one = self._settled(*by_factor, as_it_is.width, self._common)
             of_one += self._evidence(*by_factor, one) - self._evidence(*by_factor, as_it_is)
         least = -np.log(ODDS)
@@ -167,78 +161,39 @@ class StatedSigmas:
             return stated
         width = one.width if of_one - of_many > least else many.width
         said = self._contradicted(A, r, many) if width is many.width else ()
-        P, k = self._shape
-        factors = np.ones(P + k)
-        factors[self._active] = width[self._key]
-        considered, root = stated.considered.copy(), stated.prior_root * factors[:P]
-        considered[self._gains] *= factors[P:]
+        factors = width[self._key]
+        considered, root = stated.considered.copy(), stated.prior_root.copy()
+        root[:, self._active] *= factors[:active]
+        considered[self._causes] *= factors[active:]
         if of_many - of_one < least and self._common.any():
-            of_gains, common = (self._L @ one.errors)[-k:], self._rows.index(None)
-            factor = float(of_gains[common] + np.delete(of_gains, common).mean())
-            considered[self._gains[common]] = max(considered[self._gains[common]], abs(factor) / HALF)
+            of_gains = self._errors.sigma[self._gains] * one.errors[active + self._gains]
+            common = self._errors.gains[self._gains].all(axis=1)
+            factor = float(of_gains[common].sum() + of_gains[~common].mean())
+            at = np.array(self._causes)[self._gains[common]]
+            considered[at] = np.maximum(considered[at], abs(factor) / HALF)
             said += (f"all gains may be off by a common factor, by {abs(factor):.0%}",)
         covariance = self._base.covariance(root)
-        rls = stated.rls.with_prior(self._centre[: len(covariance)], covariance)
+        rls = stated.rls.with_prior(self._errors.centre, covariance)
         return Taken(rls, considered, root, covariance, said)
 
-    def _of_one_factor(
-        self, parts: Sequence["_Part"], X: FloatArray, correlation: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.
 
         About an estimate that is far from the drawing, a factor would leave the bodies nothing.
         """
-        X, common = X.copy(), len(X) - len(self._rows) + self._rows.index(None)
-        X[self._bodies] *= np.exp(X[common])
+        X, bodies = X.copy(), np.flatnonzero(self._errors.bodies)
+        common = len(self._errors.centre) + np.flatnonzero(self._errors.gains.all(axis=1))
+        X[bodies] *= np.exp(X[common].sum())
         X[common] = 0.0
-        return *self._equations(parts, X, correlation, self._centre), X
-
-    def _equations(
-        self, blocks: Sequence["_Part"], X: FloatArray, correlation: float, scaled: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Information on parameters and gains about ``X``, (p + k, p + k), and each block's scores, (b, p + k).
-
-        ``scaled``: parameters that the common factor of all gains multiplies.
-        """
-        p, parts = len(X) - len(self._rows), list[tuple[_Part, FloatArray, FloatArray]]()
-        left, count = dict[int, float](), dict[int, float]()
-        for part in blocks:
-            J = np.zeros((p, len(X)))
-            np.fill_diagonal(J, 1.0)
-            gains = [p + k for k, row in enumerate(self._rows) if row is None or row == part.instrument]
-            if gains:
-                factor = np.exp(X[gains].sum())
-                J[self._bodies, self._bodies] = factor
-                J[self._bodies[:, None], gains] = factor * X[self._bodies, None]
-                common = [p + k for k, row in enumerate(self._rows) if row is None]
-                J[self._bodies[:, None], common] = factor * scaled[self._bodies, None]
-            v = np.concatenate([J[:, :p] @ X[:p], [-1.0, 0.0]])
-            left[part.instrument] = left.get(part.instrument, 0.0) + max(float(v @ part.whole @ v), 0.0)
-            count[part.instrument] = count.get(part.instrument, 0.0) + part.rows
-            parts.append((part, J, v[:-1]))
-        loud = {k: max(1.0, correlation * left[k] / max(count[k], 1.0)) for k in left}  # of the noise, variance
-        times_s = np.unique(np.concatenate([part.times_s for part in blocks]))
-        H, scores = np.zeros((len(X), len(X))), np.zeros((len(times_s), len(X)))
-        for part, J, v in parts:
-            H += J.T @ part.information @ J / loud[part.instrument]
-            scores[np.searchsorted(times_s, part.times_s)] -= (part.equations @ v) @ J / loud[part.instrument]
-        return H, scores
+        return self._information(rows, X, width, self._errors.centre)
 
     def _information(
-        self, H: FloatArray, scores: FloatArray, X: FloatArray, width: FloatArray
+        self, rows: ErrorEquations, X: FloatArray, width: FloatArray, scaled: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Information on the errors, in stated sigmas, and its right-hand side for errors about zero."""
-        values, V = np.linalg.eigh(self._L.T @ H @ self._L)
-        V, values = V[:, values > 0.0], values[values > 0.0]  # the others are of regressors that are noise
-        A = V * values @ V.T
-        w = width[self._key]
-        wide = A * np.outer(w, w)
-        C = np.linalg.inv(np.eye(len(A)) + wide)
-        each = scores @ self._L @ V @ V.T
-        known = float(np.vdot(C, wide))
-        colour = max(1.0, float(np.vdot(each * w @ C, each * w)) / known) if known > 0.0 else 1.0
-        offset = self._L.T @ (H @ (X - self._centre))
-        return A / colour, (each.sum(axis=0) + V @ (V.T @ offset)) / colour
+        told = rows.information(X, rows.noise(X), scaled)
+        colour = told.colour(width[self._key])
+        return told.A / colour, told.r / colour
 
     def _settled(self, A: FloatArray, r: FloatArray, width: FloatArray, free: BoolArray) -> "_Widths":
         """Width of each key, of those that are free to change, and the errors with them, in stated sigmas."""

@@ -1,14 +1,13 @@
 """Errors of cells by the sums over rows that were made here: what is found, and when it is no explanation."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from onboard.estimation.policy import LIKELY_SIZE, ODDS
 from onboard.identification.evidence.bank import Bank, Suspect
-from onboard.identification.rows.checks.all_rows import AllRows, explained
+from onboard.identification.rows.checks.all_rows import explained
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 
 CELLS, P, BLOCK_S = ("a", "b", "c"), 4, 1.0
 STATED = 0.01  # sigma of each scale
@@ -34,9 +33,16 @@ def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.
     return seen
 
 
+def equations(seen, *more, since_s=-np.inf):
+    """Of a prior about zero and a scale of each cell, and of errors of these sigmas that have columns."""
+    sigma, columns = np.array([*np.full(3, STATED), *more]), [*np.full(3, -1), *range(len(more))]
+    gains = np.eye(len(sigma), 3, dtype=np.bool_)
+    errors = RowErrors(PRIOR * np.eye(P), np.zeros(P), sigma, columns, gains, np.ones(P, np.bool_))
+    return ErrorEquations(seen, errors, 1.0, since_s)
+
+
 def asked(seen):
-    errors = SimpleNamespace(centre=np.zeros(P), sigma=np.full(3, STATED), columns=[-1, -1, -1])
-    rows = AllRows(seen, PRIOR * np.eye(P), errors, [0, 1, 2], 1.0)
+    rows = equations(seen)
     suspects = [
         Suspect(cell, np.array([P + k]), np.array([[LIKELY_SIZE / STATED]]), ODDS) for k, cell in enumerate(CELLS)
     ]
@@ -64,7 +70,7 @@ def test_a_wrong_scale_is_named_and_taken_out(rng, factor):
     """About an estimate that the wrong cell has moved, too."""
     weighed, mean, sigma = found(flown(rng, (1.0, factor, 1.0)), BETA * (1.0 + 0.3 * (factor - 1.0)))
     assert weighed.names == ("b",)
-    assert weighed.likeliest.size == pytest.approx(abs(factor - 1.0) / LIKELY_SIZE, abs=0.15)
+    assert weighed.likeliest.size == pytest.approx(abs(np.log(factor)) / LIKELY_SIZE, abs=0.15)
     assert (np.abs(mean - BETA) < 4.0 * sigma).all()
     assert (sigma < 0.02 * np.abs(BETA)).all()  # two cells that are as stated to 1 % each
 
@@ -99,16 +105,17 @@ def test_what_scatters_more_than_it_is_known_widens_the_answer(rng):
     x, quiet, wider = np.concatenate([BETA / PRIOR, np.zeros(3)]), np.ones(3), []
     for slow, colour in ((0.0, 1.5), (1.0, 20.0)):
         rows, _ = asked(flown(rng, slow=slow))
-        x, known = rows.known(x, quiet)
-        assert 0.25 * colour < rows.colour(x, quiet) < colour
-        wider.append(PRIOR**2 * np.diag(rows.scatter(x, known, quiet))[:P])
+        x, known = rows.information(rows.at(x), quiet).known()
+        told = rows.information(rows.at(x), quiet)
+        assert 0.25 * colour < told.colour() < colour
+        wider.append(PRIOR**2 * np.diag(told.scatter(known))[:P])
     assert (wider[1] > 5.0 * wider[0]).all()  # noise of a block's sums is some ten times as large
     assert wider[1] == pytest.approx(np.full(P, 9.0 / 100.0 / 2400.0), rel=0.7)  # over the rows' information
 
 
 def test_readings_that_no_noise_explains_are_a_misfit(rng):
     rows, _ = asked(flown(rng, slow=3.0))
-    x = np.concatenate([BETA / PRIOR, np.zeros(3)])
+    x = rows.at(np.concatenate([BETA / PRIOR, np.zeros(3)]))
     assert rows.misfit(x, x) == pytest.approx(10.0, rel=0.4)
     assert rows.misfit(x, x) == pytest.approx(rows.noise(x).max())
     loud, _ = asked(flown(rng, motion=5.0))
@@ -126,12 +133,40 @@ def test_errors_of_rows_of_before_the_estimate_settled_are_left_out(rng):
     C = np.where(times_s < 15.0, 0.1, 1.0) * effect
     one = np.ones(len(times_s))
     seen.add(times_s, one > 0, cell, Y, y, one, one, None, C[:, None])
-    errors = SimpleNamespace(centre=np.zeros(P), sigma=np.array([*np.full(3, STATED), 1.0]), columns=[-1, -1, -1, 0])
     x, found = np.concatenate([BETA / PRIOR, np.zeros(4)]), []
     for since_s in (-np.inf, 15.0):
-        rows = AllRows(seen, PRIOR * np.eye(P), errors, [0, 1, 2], 1.0, since_s)
-        found.append((rows.share, rows.known(x, rows.noise(x))[0][-1]))
+        rows = equations(seen, 1.0, since_s=since_s)
+        found.append((rows.share, rows.information(rows.at(x), rows.noise(rows.at(x))).known()[0][-1]))
     assert found[0][0] == 1.0
     assert found[1][0] == pytest.approx(25.0 / 40.0, rel=0.01)
     assert found[1][1] == pytest.approx(3.0, abs=0.06)
     assert found[0][1] > 3.1
+
+
+def test_noise_in_the_column_of_an_error_makes_that_no_smaller(rng):
+    """Half of the column's power is noise of a signal: without the correction the error comes out at half its size."""
+    seen, n = RowBlocks(P, BLOCK_S, CELLS, 1), 7200
+    times_s, cell = np.repeat(np.arange(0.0, 120.0, 0.05), len(CELLS)), np.tile(np.arange(len(CELLS)), n // 3)
+    Y, effect = 10.0 * rng.standard_normal((n, P)), rng.standard_normal(n)
+    y, C = Y @ BETA + 3.0 * effect + rng.standard_normal(n), effect + rng.standard_normal(n)
+    one, sigma = np.ones(n), np.full(n, np.sqrt(1.0 + 3.0**2))
+    noise = np.zeros((n, 1, P + 1)), np.ones((n, 1, 1))
+    seen.add(times_s, one > 0, cell, Y, y, sigma, one, noise[0], C[:, None], np.zeros(P), noise[1])
+    rows, x = equations(seen, 10.0), np.concatenate([BETA / PRIOR, np.zeros(4)])
+    found, P_ = rows.information(rows.at(x), np.ones(3)).known()
+    assert 10.0 * found[-1] == pytest.approx(3.0, abs=0.3)
+    assert abs(10.0 * found[-1] - 3.0) < 3.0 * 10.0 * np.sqrt(P_[-1, -1])
+
+
+def test_scores_of_regressors_that_are_noise_are_no_information(rng):
+    """Of a parameter that no motion tells, whose column is noise, and less of it than is stated."""
+    seen, n = RowBlocks(P, BLOCK_S, CELLS), 2400
+    times_s, cell = np.repeat(np.arange(0.0, 40.0, 0.05), len(CELLS)), np.tile(np.arange(len(CELLS)), n // 3)
+    Y = 10.0 * rng.standard_normal((n, P)) * [1.0, 1.0, 1.0, 0.09]
+    y, one = 10.0 * rng.standard_normal(n), np.ones(n)
+    noise = np.tile(np.diag([0.0, 0.0, 0.0, 1.0]) @ np.eye(P, P + 1), (n, 1, 1))
+    seen.add(times_s, one > 0, cell, Y, y, one, one, noise)
+    rows = equations(seen)
+    told = rows.information(rows.at(np.zeros(P + 3)), np.ones(3))
+    assert np.linalg.matrix_rank(told.A, 1e-6 * np.abs(told.A).max()) < P
+    assert np.abs(told.A @ np.linalg.pinv(told.A, 1e-9) @ told.r - told.r).max() < 1e-6 * np.abs(told.r).max()

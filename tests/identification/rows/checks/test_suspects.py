@@ -20,7 +20,7 @@ from onboard.identification.rows.checks import kept_ticks, suspects
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.prediction import prediction
 from onboard.identification.rows.checks.remade import RowsRemade, turned
-from onboard.identification.rows.checks.suspected import suspected
+from onboard.identification.rows.checks.suspected import of_no_key, suspected
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
@@ -414,12 +414,11 @@ def test_encoders_of_magnets_beside_their_axes_are_no_other_fault(heavy):
 
 def test_errors_of_an_estimate_that_has_moved_since_are_not_settled():
     who = fed()
-    mean, scale = who.rls.solve().mean, np.ones(len(who.base.names))
+    mean = who.rls.solve().mean
     settled = [(0.0, 0.0 * mean), (2.0, 0.85 * mean), (4.0, 0.97 * mean), (6.0, mean)]
-    assert who.errors.settled_s(settled, mean, scale) == 4.0
-    assert who.errors.settled_s(settled[2:], mean, scale) == 4.0
-    assert who.errors.settled_s(settled[:2], mean, scale) == np.inf
-    assert who.errors.settled_s([], mean, scale) == -np.inf
+    for estimates, since_s in ((settled, 4.0), (settled[2:], 4.0), (settled[:2], np.inf), ([], -np.inf)):
+        who.seen.estimates[:] = estimates
+        assert who.errors.settled_s(who.seen, mean) == since_s
 
 
 def test_a_cyclic_error_does_to_rows_what_its_column_says(rng):
@@ -436,11 +435,71 @@ def test_a_cyclic_error_does_to_rows_what_its_column_says(rng):
     np.testing.assert_allclose(explained, right - wrong, atol=0.01 * np.abs(right - wrong).max())
 
 
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        (geared(2, 0.92), "scale_joint_2"),
+        (geared(4, 1.07), "scale_joint_4"),
+        (zero(0, 0, 0.06, 0, 0), "zero_joint_3"),
+        (tilted([0.05, 0.0, 0.0]), "level of bench"),
+    ],
+)
+def test_an_error_of_which_the_file_says_nothing_is_named_and_taken_out_where_scales_are_stated(wrong, name):
+    """Angles, and the level, exact to the last digit by the file; rows are not linear in errors as large as these."""
+    who = identifier(stated=SCALES)
+    who = identifier(stated=SCALES, more=of_no_key((*ZEROS, *SCALES), who.model))
+    bench.feed(who, wrong(run()))
+    assert who.findings().against == ()
+    assert who.findings().doubts[0].startswith(f"not as stated: {name}")
+    truth = np.array([TOOL.mass_kg, *TOOL.centre_of_mass_m, *elements(TOOL.inertia_kg_m2)])
+    known = [(one.value, one.sigma, true) for one, true in zip(who.estimate().quantities, truth, strict=True)]
+    value, sigma, true = np.array(known).T
+    assert (np.abs(value - true) < 3.3 * sigma).all()
+    assert mass(who)[1] < 2e-3
+
+
+def test_of_an_arm_that_is_as_stated_what_no_key_says_changes_next_to_nothing():
+    who, plain = identifier(stated=SCALES), identifier(stated=SCALES)
+    who = identifier(stated=SCALES, more=of_no_key((*ZEROS, *SCALES), who.model))
+    bench.feed(who, run())
+    bench.feed(plain, run())
+    assert who.suspects is None
+    now, before = who.block_jackknife(), plain.block_jackknife()
+    every = np.eye(len(who.base.names))
+    assert now.mean == pytest.approx(before.mean, rel=1e-9)
+    assert now.combination(every).sigma == pytest.approx(before.combination(every).sigma, rel=0.01)
+
+
+def test_noise_of_angles_is_in_what_their_errors_do_to_rows(rng):
+    """By differences of the columns of one joint, of its acceleration, in which they are linear."""
+    more = (*ONCE_A_TURN, Considered("scale of joint_3", "joint_3", "joint_scale", 0.01))
+    who, given, size = identifier(more=more), once_a_turn(run()), 1e-5
+    at, attached = np.arange(0, len(given.time_s), 11), np.ones(len(given.time_s), np.bool_)
+    use, chi = np.ones((len(at), len(who.model.rows)), np.bool_), [*rng.standard_normal(len(who.base.names)), 1.0]
+    moved = given.ddq.copy()
+    moved[:, 2] += size
+    noisy = once_a_turn(given._replace(ddq=moved))
+    before, after = (one @ chi for one in who.errors.regressors([given, noisy], at, attached))
+    effect = (after - before).reshape(-1)  # of the acceleration of joint_3
+    motion = np.zeros((effect.size, 24, len(chi)))
+    motion[:, 12, -1] = -effect  # in place of its columns
+    told = who.errors.noise(given, np.repeat(at, use.shape[1]), motion, np.array(chi[:-1]))
+    columns = [
+        who.errors.factors(of, at, use, attached).reshape(effect.size, len(who.considered), -1) @ chi
+        for of in (given, noisy)
+    ]
+    assert np.abs(effect).max() > 0.0
+    own = [one.row == "joint_3" and one.effect != "joint_zero" for one in who.considered]
+    told, true = told[:, 12, own], (columns[1] - columns[0])[:, own]
+    assert (np.abs(true).max(axis=0) > 0.2 * np.abs(effect).max()).all()
+    np.testing.assert_allclose(told, true, atol=0.01 * np.abs(effect).max())
+
+
 def test_a_base_is_as_level_as_the_imu_on_it_can_show():
     imu = [
         Considered("turn", "imu", "accelerometer_misalignment", 0.003, axis=0),
         Considered("bias", "imu", "accelerometer_bias", 0.03, axis=1),
     ]
     of_level = [[one.sigma for one in suspected(of, identifier().model) if one.effect == "level"] for of in ((), imu)]
-    assert of_level[0] == pytest.approx([1e-4] * 3)
+    assert of_level[0] == pytest.approx([1e-6] * 3)
     assert of_level[1] == pytest.approx([np.hypot(0.003, 0.03 / 9.80665)] * 3, rel=1e-3)

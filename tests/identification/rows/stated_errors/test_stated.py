@@ -35,8 +35,8 @@ def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sig
             C[:, [one.row in ("", CELLS[number]) for one in considered]] = y[:, None]
         rls.update(Y, y, each, C if considered else None)
         blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None)
-    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, drawn, np.ones(n, np.bool_), stated)
-    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0)
+    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, drawn, stated)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, -np.inf)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -109,3 +109,32 @@ def test_one_factor_does_not_stand_for_an_estimate_that_is_no_multiple_of_the_dr
     (said,) = found.said
     assert said.startswith("the rows contradict prior.link.")
     assert found.considered == pytest.approx(stated.considered, rel=0.01)
+
+
+def of_an_encoder(rng, since_s):
+    """What two gains are taken for where an angle is off by one stated sigma, which looks like 5 % of each reading."""
+    turned = Considered("zero of joint_1", "joint_1", "joint_zero", 0.01, "joint_1 zero_sigma_rad")
+    base = BaseParameters(("a", "b"), np.arange(2), np.eye(2), ("a", "b"))
+    blocks, rls, considered = RowBlocks(2, 1.0, CELLS, 3), SquareRootRls(2, 3), (*SCALES, turned)
+    stated = Taken.of(rls, considered, base, 0.05 * np.eye(2))
+    rls.prior(np.ones(2), stated.covariance)
+    times = np.sort(rng.uniform(0.0, 40.0, 1000))
+    for number, sign in enumerate((1.0, -1.0)):
+        Y = rng.normal(size=(1000, 2))
+        effect = sign * 5.0 * Y @ np.ones(2)  # per rad
+        each = np.full(1000, NOISE)
+        y = Y @ np.ones(2) + 0.01 * effect + NOISE * rng.normal(size=1000)
+        C = np.column_stack([np.zeros((1000, 2)), effect])
+        rls.update(Y, y, each, C)
+        blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None, C)
+    sigmas = StatedSigmas(COLUMNS[:2], considered, CELLS, base, np.ones(2), stated)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, since_s)
+
+
+def test_what_an_angle_does_is_not_given_to_gains(rng):
+    """But where most rows are of before what it does to them was known: there gains are all that is looked at."""
+    stated, found = of_an_encoder(rng, -np.inf)
+    assert found is stated
+    stated, found = of_an_encoder(rng, 25.0)
+    assert "scale_sigma: taken" in found.said[0]
+    assert (found.considered[:2] > 2.0 * stated.considered[:2]).all()

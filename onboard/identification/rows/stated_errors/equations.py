@@ -1,0 +1,199 @@
+"""Equations of all errors of what is stated, by the sums over rows; noise is taken out of the regressor.
+
+The state x has the errors of the prior, ``beta = beta_0 + G L z``, and errors c of instruments, each over its stated
+sigma. A row reads ``y = exp(g) Y_b beta_b + Y_i beta_i + C c``: g is the sum of the errors of gain that the file states
+of its instrument, and multiplies the base parameters of bodies, not those of instruments. (A column of readings would
+be of their noise, and shrink the gain.) Rows are linear about an estimate; columns C are those that the recursion
+considers. Of an error without a column, nothing is found.
+
+Each instrument's noise is what the estimate leaves over of its rows, no less than their weights say. What is left is
+alike for seconds where the model is not the arm's: all information is divided by how much more the scores of blocks
+scatter than it says (*colour*).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.recursive.consistency import NOISE_SIGMA
+from onboard.identification.evidence.mixture import Known
+from onboard.identification.rows.row_blocks import RowBlocks
+
+
+class _Part(NamedTuple):
+    """Rows of one instrument, with the payload or without; sums of ``[Y, C, y, 1]``."""
+
+    instrument: int
+    times_s: FloatArray  # when each block begins, (b,)
+    blocks: FloatArray  # (b, p + k + 2, p + k + 2) without the noise of the regressor
+    sums: FloatArray  # (p + k + 2, p + k + 2) of all blocks
+    noise: FloatArray  # (p + k + 2, p + k + 2) that noise
+    own: float  # sum of squares of the readings' own sigmas
+
+
+class RowErrors(NamedTuple):
+    """Those of which there are equations.
+
+    Args:
+        half: ``G L``, (p, n), of the prior.
+        centre: base parameters as drawn, (p,).
+        sigma: of each error of an instrument, (e,).
+        columns: its place among the errors that the recursion considers; -1 of one that has no column there, (e,).
+        gains: which of them multiply what each instrument should read, (e, instruments).
+        bodies: which base parameters these multiply, (p,).
+    """
+
+    half: FloatArray
+    centre: FloatArray
+    sigma: FloatArray
+    columns: Sequence[int]
+    gains: BoolArray
+    bodies: BoolArray
+
+
+class Information(NamedTuple):
+    """What rows tell of errors of zero mean, in stated sigmas, about an estimate."""
+
+    A: FloatArray  # (s, s)
+    r: FloatArray  # right-hand side, (s,)
+    scores: FloatArray  # of each block, (b, s)
+    doubt: FloatArray  # what the noise of the regressor was in the right-hand side, (s,)
+
+    def colour(self, width: FloatArray | float = 1.0) -> float:
+        """How much more the scores of blocks scatter than the information says, as a variance.
+
+        Args:
+            width: of each error, (s,), in stated sigmas.
+        """
+        w = np.broadcast_to(width, self.r.shape)
+        wide = self.A * np.outer(w, w)
+        C = np.linalg.inv(np.eye(len(wide)) + wide)
+        known = float(np.vdot(C, wide))
+        return max(1.0, float(np.vdot(self.scores * w @ C, self.scores * w)) / known) if known > 0.0 else 1.0
+
+    def known(self, colour: float = 1.0) -> Known:
+        """Mean and covariance of the state with all as stated, its information divided by a colour."""
+        P = np.linalg.inv(np.eye(len(self.r)) + self.A / colour)
+        moved = NOISE_SIGMA / colour * P @ self.doubt
+        return P @ self.r / colour, P + np.outer(moved, moved)
+
+    def scatter(self, P: FloatArray) -> FloatArray:
+        """What the scatter of blocks adds to the covariance P of the estimate, (s, s), in directions where it does.
+
+        Of the sandwich ``P sum_b s_b s_b' P`` (Huber, 1967) what is more than ``P A P``.
+        """
+        root = np.linalg.cholesky(P)
+        values, V = np.linalg.eigh(root.T @ (self.scores.T @ self.scores - self.A) @ root)
+        half = root @ V * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(half @ half.T, np.float64)
+
+
+class ErrorEquations:
+    """The rows of one recursion so far.
+
+    Args:
+        seen: the rows.
+        errors: that they may tell.
+        correlation: how many neighbouring rows say the same thing.
+        since_s: blocks that begin earlier are left out.
+
+    Attributes:
+        share: of the rows, that are taken in.
+    """
+
+    def __init__(self, seen: RowBlocks, errors: RowErrors, correlation: float, since_s: float = -np.inf) -> None:
+        self._correlation, self._gains, self._bodies = correlation, errors.gains, np.flatnonzero(errors.bodies)
+        p = len(errors.centre)
+        self._p, self._drawn = p, np.append(errors.centre, np.zeros(len(errors.sigma)))
+        self._L = block_diag(errors.half, np.diag(errors.sigma))  # (p + e, n + e)
+        self._columns = np.zeros((p + seen.considered + 2, len(errors.sigma)))
+        has = np.flatnonzero((np.array(errors.columns, np.intp) >= 0) & ~errors.gains.any(axis=1))
+        self._columns[p + np.array(errors.columns, np.intp)[has], has] = 1.0
+        self._parts, rows = list[_Part](), np.zeros(2)
+        for part in seen.parts:
+            blocks, noise = seen.with_errors(*part)
+            times_s = seen.times_s(*part)
+            late = times_s >= since_s
+            count = blocks[:, -1, -1]
+            rows += count.sum(), count[late].sum()
+            if late.any():
+                blocks, own = blocks[late], seen.own(*part) * float(count[late].sum() / count.sum())
+                self._parts.append(
+                    _Part(part[1], times_s[late], blocks, blocks.sum(axis=0), noise[late].sum(axis=0), own)
+                )
+        self.share = float(rows[1] / max(rows[0], 1.0))
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Base parameters and errors of instruments in their units, X (p + e,), by the state, (s,)."""
+        return np.asarray(self._drawn + self._L @ x, np.float64)
+
+    def information(self, X: FloatArray, noise: FloatArray, scaled: FloatArray | None = None) -> Information:
+        """What all rows tell of the state.
+
+        Args:
+            X: base parameters and errors, (p + e,), about which they are linear.
+            noise: variance of each instrument over that of its weights, (instruments,).
+            scaled: base parameters that an error of all gains multiplies, (p,); those of X where not given.
+        """
+        H, doubt = np.zeros((len(X), len(X))), np.zeros(len(X))
+        times_s = np.unique(np.concatenate([part.times_s for part in self._parts]))
+        scores = np.zeros((len(times_s), len(X)))
+        for part in self._parts:
+            J, v = self._linear(part, X, scaled)
+            weighted = J.T / noise[part.instrument]
+            H += weighted @ part.sums @ J
+            doubt += weighted @ (part.noise @ v)
+            scores[np.searchsorted(times_s, part.times_s)] -= (part.blocks @ v) @ weighted.T
+        values, V = np.linalg.eigh(self._L.T @ H @ self._L)
+        V, values = V[:, values > 0.0], values[values > 0.0]  # the others are of regressors that are noise
+        told = V @ V.T
+        each = scores @ self._L @ told
+        offset = told @ (self._L.T @ (H @ (X - self._drawn)))
+        return Information(V * values @ V.T, each.sum(axis=0) + offset, each, self._L.T @ doubt)
+
+    def noise(self, X: FloatArray) -> FloatArray:
+        """Variance of each instrument over that of its weights, by what an estimate leaves over, (instruments,)."""
+        left, rows, _ = self._sums(X)
+        return np.asarray(np.maximum(1.0, self._correlation * left / np.maximum(rows, 1.0)), np.float64)
+
+    def misfit(self, X: FloatArray, other: FloatArray) -> float:
+        """The largest variance of an instrument over that which its noise and that of the motion explain.
+
+        Args:
+            X: an estimate.
+            other: another; of the motion's noise at both the smaller counts, since at one that the rows do not tell it
+                may be any.
+        """
+        left, _, stated = self._sums(X)
+        stated = np.minimum(stated, self._sums(other)[2])
+        return self._correlation * float((left / np.maximum(stated, 1.0)).max())
+
+    def _sums(self, X: FloatArray) -> FloatArray:
+        """What an estimate leaves over of each instrument, its rows, and what noise explains, (3, instruments)."""
+        sums = np.zeros((3, self._gains.shape[1]))
+        for part in self._parts:
+            whole, (_, v) = part.sums + part.noise, self._linear(part, X)
+            of_motion = self._correlation * max(float(v @ part.noise @ v), 0.0)
+            left = max(float(v @ whole @ v), 0.0)
+            sums[:, part.instrument] += np.array([left, whole[-1, -1], part.own + of_motion])
+        return sums
+
+    def _linear(self, part: _Part, X: FloatArray, scaled: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """What multiplies ``[beta, c]``, (p + k + 2, p + e), and what X leaves over, of ``[Y, C, y, 1]``."""
+        p, mine = self._p, np.flatnonzero(self._gains[:, part.instrument])
+        bodies, factor = self._bodies, float(np.exp(X[p + mine].sum()))
+        J = np.zeros((len(self._columns), len(X)))
+        J[:, p:] = self._columns
+        np.fill_diagonal(J[:p, :p], 1.0)
+        J[bodies, bodies] = factor
+        J[bodies[:, None], p + mine] = factor * X[bodies, None]
+        v = self._columns @ X[p:]
+        v[:p] += X[:p]
+        v[bodies] += (factor - 1.0) * X[bodies]
+        v[-2] = -1.0
+        if scaled is not None:
+            J[bodies[:, None], p + np.flatnonzero(self._gains.all(axis=1))] = factor * scaled[bodies, None]
+        return J, v
