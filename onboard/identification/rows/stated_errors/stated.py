@@ -24,10 +24,10 @@ same odds, the answer covers both, its interval reaching as far as that factor w
 bodies as drawn, so that its equations are linear however large it is. Free widths are paid
 for: the evidence of each hypothesis has Student's density of its errors in place of the normal one of fitted width.
 
-All errors are estimated beside the parameters here, those of instruments too
-(:mod:`onboard.identification.rows.stated_errors.equations`), and of an error whose key is wishful the others are no
-part: what an encoder does is not given to a gain. The estimate itself considers them. Delays are as stated: what they
-do to rows is made of derivatives, whose noise is not that of the rows.
+Errors of instruments are estimated beside the parameters here
+(:mod:`onboard.identification.rows.stated_errors.equations`), so that what an encoder does to the rows is not given to a
+gain; the estimate itself considers them. Delays are as stated: what they do to rows is made of derivatives, whose noise
+is not that of the rows.
 
 The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
 do where scales of cells are estimated by them.
