@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
@@ -137,7 +137,7 @@ class RowsRemade:
         q = (ticks.q - zero - off[:, 0]) * over + delay * ticks.dq + 0.5 * delay**2 * ticks.ddq
         dq = (ticks.dq - off[:, 1]) * over + delay * ticks.ddq + 0.5 * delay**2 * ticks.jerk
         ddq = (ticks.ddq - off[:, 2]) * over + delay * ticks.jerk
-        return q, dq, ddq, Rotation.from_rotvec(tilt).apply(ticks.force)
+        return q, dq, ddq, ticks.force @ pin.exp3(tilt).T
 
 
 def turned(model: RowModel, error: Considered) -> FloatArray:
