@@ -33,6 +33,11 @@ class Mixture(NamedTuple):
         """With a doubt of this covariance, (p, p), common to all."""
         return self._replace(covariances=self.covariances + covariance)
 
+    def or_else(self, other: "Mixture") -> "Mixture":
+        """It, or another one, of which it is not known which is right."""
+        both = zip(self._replace(weights=0.5 * self.weights), other._replace(weights=0.5 * other.weights), strict=True)
+        return Mixture(*(np.concatenate(pair) for pair in both))
+
     def ends(self, along: FloatArray, below: ArrayLike) -> FloatArray:
         """Quantiles of linear functions of it, (q, m), about their means.
 

@@ -18,7 +18,8 @@ more than are correlated. Outliers have Huber's weights.
 
 The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows. It
 takes the place of the recursion's: where scales are estimated, its gains multiply masses that were not known yet when
-their rows came. What noise of the regressor adds to the information of all rows is taken off that of those kept.
+their rows came. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of both
+answers. What noise of the regressor adds to the information of all rows is taken off that of those kept.
 """
 
 import math
@@ -105,6 +106,7 @@ class RowSuspects:
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
+        self._before: tuple[str, Mixture] | None = None  # likeliest of the last weighing, and the answer by it alone
         self.explains = False
 
     @property
@@ -176,6 +178,20 @@ class RowSuspects:
         elif contradicted and not scaled:
             self.explains &= bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
             self.answer = answer
+        self._remember(scaled or self.explains)
+
+    def _remember(self, answers: bool) -> None:
+        """Lets the answer cover that of the weighing before, where another hypothesis was likeliest by that.
+
+        Rows that no hypothesis explains, of a reading that is late for a while, may make any of them likeliest while
+        few of these are in. Further rows have to say the same before it answers alone.
+        """
+        before, self._before = self._before, None
+        if answers and self.weighed is not None and self.answer is not None:
+            suspect = self.weighed.likeliest.suspect
+            self._before = suspect.name if suspect else "", self.answer
+            if before is not None and before[0] != self._before[0]:
+                self.answer = self.answer.or_else(before[1])
 
     def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
         """Weighs the hypotheses by the ticks that are kept.
