@@ -26,6 +26,7 @@ from onboard.regressor.rows import BaseMotion, RowModel
 _STEP = 1e-6  # rad, relative or s, of a difference
 STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next
 OF_MOTION = ("joint_zero", "joint_scale", "joint_delay", "joint_cyclic", "level")
+MOVING = (*OF_MOTION, "accelerometer_misalignment")  # the level, by an IMU on a base that stands
 OF_READING = ("scale", "delay", "drift", "step", "turned")
 
 
@@ -54,11 +55,12 @@ class RowsRemade:
         self._known, self._independent = np.where(base.grouping.any(axis=0), 0.0, model.chi), base.independent
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], self._known]))
         self._scaled = {k: names.index(one.row) for k, one in enumerate(errors) if one.effect == "scale"}
+        self._level = {k: self._axis(one) for k, one in enumerate(errors) if one.effect in MOVING[-2:]}
         self._turned = {k: turned(model, one) for k, one in enumerate(errors) if one.effect == "turned"}
 
     def at(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray) -> RemadeRows:
         """Readings and their derivatives about base parameters (p,) and errors (k,)."""
-        moving = [k for k, one in enumerate(self._errors) if one.effect in OF_MOTION]
+        moving = [k for k, one in enumerate(self._errors) if one.effect in MOVING]
         Y = self._rows(ticks, errors)
         without = Y[..., :-1].copy()
         without[..., [column for _, column in self._gains]] = 0.0
@@ -93,6 +95,11 @@ class RowsRemade:
                 reading[:, row] += errors[k] * slope[:, row, self._p + k]
         return RemadeRows(reading, slope)
 
+    def _axis(self, error: Considered) -> FloatArray:
+        """Direction that gravity is turned about, in axes of the base."""
+        axes = np.eye(3) if error.effect == "level" else self._model.vehicle.pose_in_base(error.row)[0]
+        return np.asarray(axes[:, error.axis or 0], np.float64)
+
     def _later(self, ticks: int) -> Iterator[tuple[int, FloatArray]]:
         """Each error that is a step, and whether a tick comes after it, (t,)."""
         for k, one in enumerate(self._errors):
@@ -125,9 +132,9 @@ class RowsRemade:
         """Motion without the errors of its sensors: angles, rates, accelerations, specific force."""
         zero, scale, delay = np.zeros((3, len(self._joints)))
         off, tilt = np.zeros((len(ticks.q), 3, len(zero))), np.zeros(3)
-        for one, error in zip(self._errors, errors.tolist(), strict=True):
-            if one.effect == "level":
-                tilt[one.axis or 0] = error
+        for k, (one, error) in enumerate(zip(self._errors, errors.tolist(), strict=True)):
+            if k in self._level:
+                tilt += error * self._level[k]
             elif one.effect == "joint_cyclic":
                 off[:, :, self._joints.index(one.row)] += error * ticks.cyclic[:, :, one.axis or 0]
             elif one.effect in OF_MOTION:

@@ -9,8 +9,9 @@ All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with 
 those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
 stated. Equations are, where scales are stated, the sums over all rows
-(:mod:`onboard.identification.rows.checks.all_rows`); where they are estimated, where rows contradict each other, or
-where angles are likelier wrong, in which rows are not linear, rows of kept ticks that are made again
+(:mod:`onboard.identification.rows.checks.all_rows`), and what these are beyond linear where angles are likelier wrong
+(:mod:`onboard.identification.rows.checks.beyond_linear`). Where scales are estimated, where rows contradict each other,
+or where that leaves more over than is doubted of noise, they are rows of kept ticks that are made again
 (:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
@@ -41,10 +42,11 @@ from onboard.estimation.policy import (
 )
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.identification.evidence.bank import Weighed
+from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED, explained
+from onboard.identification.rows.checks.beyond_linear import BeyondLinear
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import RowsRemade
 from onboard.identification.rows.checks.suspected import ErrorState
@@ -97,6 +99,7 @@ class RowSuspects:
         errors = ErrorState(model, base, prior_root, considered)
         self._of_all_rows = ErrorState(model, base, prior_root, considered, remade=False)
         self._remade = RowsRemade(model, base, errors.of_instruments)
+        self._all_remade = RowsRemade(model, base, self._of_all_rows.of_instruments)
         self._kept, self._rows, self._weighed_at = KeptTicks(), np.zeros(2), np.zeros(2)
         self._half, self._centre, self._sigma = errors.half(prior_root), errors.centre, errors.sigma
         self._n, self._bank = errors.parameters, errors.bank
@@ -168,14 +171,15 @@ class RowSuspects:
             return
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
         if not scaled:
-            self._weigh_all(of, mean)
+            self._weigh_all(of, mean, ticks)
         likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
-        exact = not scaled and self.explains and self._of_all_rows.moves(self.weighed)
-        if scaled or contradicted or exact:
+        linear = scaled or self._left is None  # rows, in the errors of the likeliest
+        again = not (linear or self.explains)  # they are farther from it than noise
+        if again or (contradicted and linear) or scaled:
             self._weigh(ticks, mean, of.correlation, of.seen)
-        if exact:
+        if again:
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
-        elif contradicted and not scaled:
+        elif contradicted and linear and not scaled:
             self.explains &= bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
             self.answer = answer
         self._remember(scaled or self.explains)
@@ -202,10 +206,9 @@ class RowSuspects:
             correlation: how many neighbouring rows say the same thing.
             seen: the recursion's rows: what noise of the motion adds to their information.
         """
-        alike = min(float(self._kept.every), correlation)
-        share = alike * np.count_nonzero(ticks.weight) / self._rows.sum()
-        ticks, lag = ticks._replace(weight=ticks.weight * alike), math.ceil(correlation / self._kept.every)
-        n = self._n
+        independent, lag = self._independent(ticks, correlation)
+        share = min(float(self._kept.every), correlation) * np.count_nonzero(ticks.weight) / self._rows.sum()
+        n, ticks = self._n, independent
         about = np.zeros(n + len(self._sigma))
         about[:n] = np.linalg.pinv(self._half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
@@ -224,7 +227,12 @@ class RowSuspects:
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
 
-    def _weigh_all(self, of: _Estimated, mean: FloatArray) -> None:
+    def _independent(self, ticks: SmoothedTicks, correlation: float) -> tuple[SmoothedTicks, int]:
+        """Kept ticks with the weights of independent rows, and between how many of them nothing is alike."""
+        alike = min(float(self._kept.every), correlation)
+        return ticks._replace(weight=ticks.weight * alike), math.ceil(correlation / self._kept.every)
+
+    def _weigh_all(self, of: _Estimated, mean: FloatArray, ticks: SmoothedTicks) -> None:
         """The same by the sums over all rows, of cells whose scales are stated.
 
         Rows of before the estimate settled are left out, for what errors do to them was made at another one; where
@@ -233,12 +241,13 @@ class RowSuspects:
         Args:
             of: the recursion, and its prior as wide as it is taken.
             mean: its estimate, (p,).
+            ticks: those that are kept.
         """
         errors, own = self._of_all_rows, slice(0, self._n)
         half, seen = errors.half(of.taken.prior_root), of.seen
         since_s = of.errors.settled_s(seen, mean)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
-        self.explains = False
+        self.explains, self._left = False, None
         if rows.share < MOSTLY:
             return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
@@ -246,10 +255,25 @@ class RowSuspects:
             weighed, more = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
         except np.linalg.LinAlgError:  # Gauss and Newton have gone where rows are not linear
             return
-        self.weighed, self._left, self.explains = weighed, None, more is not None
-        if more is not None:
-            mixed = weighed.mixed(lambda one: self._of_base(half, *weighed.known(one, own)))
-            self.answer = mixed.wider(np.asarray(half @ more[own, own] @ half.T, np.float64))
+        self.weighed, self.explains = weighed, more is not None
+        if more is None:
+            return
+        beyond: BeyondLinear | None = None
+        if errors.moves(weighed):
+            ticks, lag = self._independent(ticks.at(ticks.time_s >= since_s), of.correlation)
+            known = half, errors.centre, errors.sigma
+            beyond = BeyondLinear(self._all_remade, errors.of_instruments, *known, ticks, mean)
+            x = beyond.of(weighed.known(weighed.likeliest), weighed.likeliest.suspect)[0]
+            reading, J = beyond.about(x)
+            left = _Left(J, ticks.measured - reading + J @ x, ticks)
+            self._left = left.shares(x, left.noise(x, np.ones(ticks.weight.shape[1]), lag))
+            self.explains = not self.judged()[0] and bool((self._left.noise <= MISFIT_PART).all())
+
+        def base(one: Hypothesis) -> Known:
+            z, P = weighed.known(one) if beyond is None else beyond.of(weighed.known(one), one.suspect)
+            return self._of_base(half, z[own], P[own, own])
+
+        self.answer = weighed.mixed(base).wider(np.asarray(half @ more[own, own] @ half.T, np.float64))
 
     def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
         """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""

@@ -1,0 +1,100 @@
+"""What rows of an arm are beyond linear in errors of its angles, and of the level, and what that does to an estimate.
+
+Sums over all rows are linear in these errors, about the motion as it was read: ``y = Y beta + C c``, C made at an
+estimate of before. An encoder's scale 10 % off, or gravity turned by 50 mrad, leaves over
+
+    rho = f(beta, c) - Y beta - C c.
+
+Kept ticks show it, as their rows can be made again about any error; noise of the motion, which is the same on both
+sides, is in it to second order only. The estimate by all rows less the fit of rho by these ticks,
+
+    z = z_0 - off,   off = (J'WJ + S^-1)^-1 J'W rho(z),
+
+is that of all rows as they are (derived here: a defect correction, Stetter 1978). Kept ticks are neither whitened nor
+all rows, so a doubt of :data:`.NOISE_SIGMA` of the correction of the base parameters stays. Its direction is not known:
+the covariance P is multiplied by ``1 + NOISE_SIGMA^2 off' P^-1 off / d``, of their parts of off and of P; d is how many
+directions of theirs the rows tell, ``tr(1 - P)``.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onboard.estimation.arrays import FloatArray
+from onboard.estimation.recursive.consistency import NOISE_SIGMA
+from onboard.identification.evidence.bank import Suspect
+from onboard.identification.evidence.mixture import Known
+from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
+from onboard.identification.rows.checks.remade import MOVING, RowsRemade
+from onboard.identification.rows.stated_errors.considered import Considered
+
+_ROUNDS, _SETTLED = 8, 0.1  # sigmas of the change in one
+
+
+class BeyondLinear:
+    """Kept ticks of one arm, beside the sums over its rows.
+
+    Args:
+        remade: their rows, about errors of instruments.
+        errors: these, e.
+        half: root of the prior of the base parameters, (p, n).
+        centre: base parameters as drawn, (p,).
+        sigma: of each error as stated, (e,).
+        ticks: with the weights of independent rows.
+        made_at: base parameters at which C was made, (p,).
+    """
+
+    def __init__(
+        self,
+        remade: RowsRemade,
+        errors: Sequence[Considered],
+        half: FloatArray,
+        centre: FloatArray,
+        sigma: FloatArray,
+        ticks: SmoothedTicks,
+        made_at: FloatArray,
+    ) -> None:
+        self._remade, self._ticks = remade, ticks
+        self._half, self._centre, self._sigma = half, centre, sigma
+        self._moves = np.array([one.effect in MOVING for one in errors])
+        self._C = remade.at(ticks, made_at, np.zeros(len(sigma))).slope[..., len(centre) :]
+
+    def of(self, known: Known, suspect: Suspect | None) -> Known:
+        """Mean and covariance of the state by rows as they are, of those by rows that are linear, under a hypothesis.
+
+        Args:
+            known: mean, (n + e,), and covariance, by all rows.
+            suspect: what may be wrong; None: all is as stated.
+        """
+        x, P = known
+        S = np.eye(len(x))
+        if suspect is not None:
+            S[np.ix_(suspect.at, suspect.at)] += suspect.along @ suspect.along.T
+        J = self.about(x)[1].reshape(-1, len(x))
+        weighted = (J * self._ticks.weight.reshape(-1, 1)).T
+        gain, off = np.linalg.solve(weighted @ J + np.linalg.inv(S), weighted), np.zeros(len(x))
+        for _ in range(_ROUNDS):
+            before, off = off, gain @ self._rho(x - off).ravel()
+            if (np.abs(off - before) < _SETTLED * np.sqrt(np.diag(P))).all():
+                break
+        own, bodies = off[: self._half.shape[1]], P[: self._half.shape[1], : self._half.shape[1]]
+        length = float(own @ np.linalg.solve(bodies, own)) / max(len(own) - float(np.trace(bodies)), 1.0)
+        return x - off, P * (1.0 + NOISE_SIGMA**2 * length)
+
+    def about(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Readings of the ticks, (t, m), and derivatives, (t, m, n + e), about a state."""
+        reading, slope = self._remade.at(self._ticks, *self._parts(x))
+        p = len(self._centre)
+        return reading, np.concatenate([slope[..., :p] @ self._half, slope[..., p:] * self._sigma], axis=2)
+
+    def _rho(self, x: FloatArray) -> FloatArray:
+        """What rows are beyond linear in errors of the motion, (t, m)."""
+        beta, errors = self._parts(x)
+        moved = np.where(self._moves, errors, 0.0)
+        as_read = self._remade.at(self._ticks, beta, 0.0 * errors).reading
+        return self._remade.at(self._ticks, beta, moved).reading - as_read - self._C @ moved
+
+    def _parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Base parameters, (p,), and errors of instruments, (e,), by the state."""
+        n = self._half.shape[1]
+        return self._centre + self._half @ x[:n], self._sigma * x[n:]
