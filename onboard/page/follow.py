@@ -40,6 +40,7 @@ class Followed:
         state: so far.
         urdf: that the log carries, or empty.
         ended: whether the flight is over.
+        directory: of its rings; None before it has begun.
     """
 
     live = True
@@ -48,7 +49,7 @@ class Followed:
         self.log, self._left = log, left
         self.state = PageState(log.name, live=True)
         self.urdf, self.ended = b"", False
-        self._directory: Path | None = None
+        self.directory: Path | None = None
         self._rings: dict[Path, RingReader] = {}
 
     def look(self) -> None:
@@ -57,9 +58,9 @@ class Followed:
         Raises:
             OSError: a ring cannot be read.
         """
-        if self._directory is None:
+        if self.directory is None:
             self._find()
-        if self._directory is None:
+        if self.directory is None:
             return
         self._open()
         for reader in self._rings.values():
@@ -72,9 +73,9 @@ class Followed:
 
     def check_ended(self) -> bool:
         """Whether the flight that was followed has no process any more, or will not begin."""
-        if self._directory is None:
+        if self.directory is None:
             self.ended = self._left()
-        elif not self._directory.exists() or is_free(self._directory):
+        elif not self.directory.exists() or is_free(self.directory):
             self.ended = True
         return self.ended
 
@@ -92,25 +93,20 @@ class Followed:
         """The frame of CLOCK_MONOTONIC ``now_ns``; of a flight that has ended that of its newest row."""
         return self.state.frame(None if ended else now_ns, ended=ended)
 
-    @property
-    def directory(self) -> Path | None:
-        """Of its rings; None before it has begun."""
-        return self._directory
-
     def _find(self) -> None:
         found = None
         with contextlib.suppress(OSError, manifest.ManifestError):  # of another flight, that comes or goes: tried again
             found = next((flight for flight in manifest.running() if flight.log == self.log), None)
         if found is None:
             return
-        self._directory = found.directory
+        self.directory = found.directory
         files = {one.name: one.data for one in found.preamble.attachments}
         payload, self.urdf = payload_of(found.preamble.metadata, files), urdf_of(files)
         self.state = PageState(f"{found.vehicle}: {self.log.name}", payload, tree_of(files, payload), live=True)
 
     def _open(self) -> None:
-        assert self._directory is not None
-        for path in sorted(self._directory.glob("*.ring")):
+        assert self.directory is not None
+        for path in sorted(self.directory.glob("*.ring")):
             if path in self._rings:
                 continue
             try:
@@ -179,14 +175,6 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is no JSON value")
 
 
-class AttachedFile(Protocol):
-    """A file that a log carries."""
-
-    @property
-    def data(self) -> bytes:
-        """Its bytes."""
-
-
 class PlayedLog(Protocol):
     """A log, or what can be played as one is."""
 
@@ -199,8 +187,8 @@ class PlayedLog(Protocol):
         """Bytes read so far."""
 
     @property
-    def attachments(self) -> Mapping[str, AttachedFile]:
-        """Files by name."""
+    def attachments(self) -> Mapping[str, Any]:
+        """Files that it carries, by name, each with its ``data``."""
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:

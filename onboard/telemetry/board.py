@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.flight.health.status import CAUTION, NO_HEALTH, standing
@@ -47,12 +47,11 @@ class PacketBoard:
             self._events.append(packet)
         elif kind in ("report", "failure"):
             self._reports.append(packet)
-        elif kind in ("answer", "reason"):
-            shown = self._answers if kind == "answer" else None
-            if shown is None:
-                self._why[values["quantity"]] = values["level"], values["why"]
-            elif (before := shown.get(values["quantity"])) is None or before.at_ns <= packet.at_ns:
-                shown[values["quantity"]] = packet
+        elif kind == "reason":
+            self._why[values["quantity"]] = values["level"], values["why"]
+        elif kind == "answer":
+            if (before := self._answers.get(values["quantity"])) is None or before.at_ns <= packet.at_ns:
+                self._answers[values["quantity"]] = packet
         elif (last := self._last.get(kind)) is None or last.at_ns <= packet.at_ns:
             self._last[kind] = packet
 
@@ -113,18 +112,13 @@ class PacketBoard:
         return lines
 
     def _answer_table(self) -> Table:
-        table = Table(box=None, pad_edge=False, header_style="dim")
-        table.add_column("estimate")
-        for name in ("value", "low", "high"):
-            table.add_column(name, justify="right", no_wrap=True)
-        for name in ("unit", "level"):
-            table.add_column(name)
+        numbers = (Column(name, justify="right", no_wrap=True) for name in ("value", "low", "high"))
+        table = Table("estimate", *numbers, "unit", "level", box=None, pad_edge=False, header_style="dim")
         for name, packet in self._answers.items():
             values = packet.values
             shown = [f"{values[key]:.6g}" if values["supported"] == "yes" else "" for key in ("value", "low", "high")]
-            level = (
-                values["level"] if values["supported"] == "yes" or values["level"] != "weak" else "not determined yet"
-            )
+            is_open = values["supported"] != "yes" and values["level"] == "weak"
+            level = "not determined yet" if is_open else values["level"]
             late_ns = self._newest_ns - packet.at_ns
             level += f", {late_ns * 1e-9:.0f} s old" if late_ns > _OLD_NS else ""
             table.add_row(Text(name), *shown, Text(values["unit"]), Text(level, _STYLES[values["level"]]))

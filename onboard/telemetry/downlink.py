@@ -35,13 +35,8 @@ _EVENT_S = 1.0  # so often one event comes before answers
 _PHASE_S = 0.2  # between two packets of changes, at least
 _REASON_NS = 5_000_000_000  # between two reasons of a quantity of the same level, at least
 _REPORT_S = 0.2  # between two reports on commands, at least
-_SHARES = {
-    "status": 0.5,
-    "flight": 0.05,
-    "phase": 0.1,
-    "failure": 0.1,
-    "event": 0.25,
-}  # of the budget, at most, before answers
+# of the budget, at most, before answers
+_SHARES = {"status": 0.5, "flight": 0.05, "phase": 0.1, "failure": 0.1, "event": 0.25}
 _MODES = {word: number for number, word in packets.MODES}
 _PHASE = re.compile(r"phase (-?\d+)")
 _NAN = math.nan
@@ -172,12 +167,8 @@ class Downlink:
     @property
     def waiting(self) -> int:
         """Events, changes, reports and answers that wait."""
-        return (
-            self._waiting_events
-            + self._changed
-            + len(self._reports)
-            + sum(not answer.sent for answer in self._answers.values())
-        )
+        fresh = sum(not answer.sent for answer in self._answers.values())
+        return self._waiting_events + self._changed + len(self._reports) + fresh
 
     @property
     def _waiting_events(self) -> int:
@@ -253,10 +244,10 @@ class Downlink:
         """Packets that are due at ``now_ns`` and fit the budget; those not taken are not sent."""
         self._room = min(self._most, self._room + (now_ns - self._at_ns) * 1e-9 * self._bytes_s)
         self._at_ns = now_ns
-        while (wanted := next(self._wanted(now_ns), None)) is not None and packets.KINDS[
-            wanted[0]
-        ].length <= self._room:
+        while (wanted := next(self._wanted(now_ns), None)) is not None:
             kind, what = wanted
+            if packets.KINDS[kind].length > self._room:
+                return
             packet = self._make(kind, what, now_ns)
             self._room -= len(packet)
             yield packet
@@ -345,7 +336,7 @@ class Downlink:
         return max(due_ns + period_ns, now_ns + period_ns // 2)
 
     def _status(self, now_ns: int) -> dict[str, Any]:
-        row, unsent = self._health, self.unsent
+        row, unsent = self._health, self.unsent._asdict()
         health = health_values(row, now_ns)
         stale = row is None or now_ns - int(row["host_ns"]) > STALE_NS
         self._was_stale |= stale and row is not None
@@ -355,10 +346,7 @@ class Downlink:
             "mode": self._mode,
             "phase": self._phase,
             "sent": self.sent,
-            "unsent_answers": unsent.answers,
-            "unsent_events": unsent.events,
-            "unsent_phases": unsent.phases,
-            "unsent_reasons": unsent.reasons,
-            "overdue": unsent.overdue,
+            "overdue": unsent.pop("overdue"),
             "unread": self.unread,
+            **{f"unsent_{what}": count for what, count in unsent.items()},
         }

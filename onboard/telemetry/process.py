@@ -91,11 +91,8 @@ class _Sender:
                 ask_ns = now_ns + _ASK_NS
                 try:
                     running = next((flight for flight in manifest.running() if flight.log == self._log), None)
-                except (
-                    OSError,
-                    ValueError,
-                ):  # of another flight, which is just being made or removed: looked for again
-                    continue
+                except (OSError, ValueError):
+                    continue  # of another flight, which is just being made or removed: looked for again
                 if running is None and directory is not None:
                     break
                 if running is not None and directory is None:

@@ -127,14 +127,15 @@ class Uplink:
 
     def _judged(self, packet: PusTc, now_ns: int) -> Telecommand:
         count, data = packet.sp_header.seq_count, bytes(packet.app_data)
-        known = packet.service == SERVICE and packet.message_subtype in set(Order)
-        order = Order(packet.message_subtype) if known else 0
         request = RequestId.from_sp_header(packet.sp_header).pack()
         head = packet.pus_tc_sec_header
-        found = Telecommand(order, Refusal.NONE, request, head.source_id, head.ack_flags)
-        if not order or len(data) != LAYOUTS[Order(order)].size:
-            return found._replace(refused=Refusal.MALFORMED if order else Refusal.UNKNOWN)
-        order = Order(order)
+        found = Telecommand(0, Refusal.UNKNOWN, request, head.source_id, head.ack_flags)
+        if packet.service != SERVICE or packet.message_subtype not in set(Order):
+            return found
+        order = Order(packet.message_subtype)
+        found = found._replace(order=order, refused=Refusal.NONE)
+        if len(data) != LAYOUTS[order].size:
+            return found._replace(refused=Refusal.MALFORMED)
         session, *arguments = LAYOUTS[order].unpack(data)
         if session != self._session or (head.source_id, count) in self._seen:
             return found._replace(refused=Refusal.OTHER_SESSION if session != self._session else Refusal.DUPLICATE)

@@ -71,17 +71,11 @@ def database(name: str, apids: Mapping[str, int], quantities: Sequence[str] = ()
 
 def _reports(system: System) -> dict[str, ContainerCheck]:
     """What verifies a command: that its report comes. Of commands under way at once the first report is each one's."""
-    report, failure, subtype = (
-        system.find_container("report"),
-        system.find_container("failure"),
-        system.find_parameter("pus_subtype"),
-    )
-    checks = {"failed": ContainerCheck(failure)}
+    report, subtype = system.find_container("report"), system.find_parameter("pus_subtype")
+    checks = {"failed": ContainerCheck(system.find_container("failure"))}
     for word, number in (("accepted", 1), ("begun", 3), ("completed", 7)):
-        meaning, condition = f"a command was {word}", EqExpression(subtype, number)
-        checks[word] = ContainerCheck(
-            Container(system, f"report_{word}", [], base=report, condition=condition, short_description=meaning)
-        )
+        condition, meaning = EqExpression(subtype, number), f"a command was {word}"
+        checks[word] = ContainerCheck(_container(system, f"report_{word}", [], report, condition, meaning))
     return checks
 
 
@@ -171,15 +165,7 @@ def _kind(system: System, kind: PacketKind, head: Container, is_kind: EqExpressi
         _container(system, kind.name, [*fields.values(), check], head, is_kind, kind.meaning)
         return
     common = [one for name, one in fields.items() if name not in NUMBERS]
-    base = Container(
-        system,
-        kind.name,
-        [ParameterEntry(one) for one in common],
-        base=head,
-        abstract=True,
-        condition=is_kind,
-        short_description=kind.meaning,
-    )
+    base = _container(system, kind.name, common, head, is_kind, kind.meaning, abstract=True)
     which = fields["quantity"]
     numbers = [field for field in kind.fields if field.name in NUMBERS]
     for quantity, name in _names(quantities):
@@ -198,9 +184,13 @@ def _container(
     base: Container,
     condition: Expression,
     meaning: str,
-) -> None:
+    *,
+    abstract: bool = False,
+) -> Container:
     entries = [ParameterEntry(one) for one in parameters]
-    Container(system, name, entries, base=base, condition=condition, short_description=meaning)
+    return Container(
+        system, name, entries, base=base, abstract=abstract, condition=condition, short_description=meaning
+    )
 
 
 def _parameter(system: System, name: str, field: Field) -> Parameter[Any]:
