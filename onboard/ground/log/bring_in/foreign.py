@@ -33,6 +33,9 @@ def read_npz(path: Path) -> Columns[str, Values]:
         raise SourceError(str(error)) from error
 
 
+_WHOLE = {"npz": read_npz, "mat": read_mat, "json": read_json}
+
+
 def read(path: Path, layout: Csv, kind: str, *, skip: bool = False, names: Collection[str] | None = None) -> Recording:
     """The columns of a file of ``kind``, by ``read_csv``, ``read_npz``, ``read_mat``, ``read_json``, ``read_messages``.
 
@@ -54,12 +57,8 @@ def read(path: Path, layout: Csv, kind: str, *, skip: bool = False, names: Colle
         raise SourceError(f"{path} has {sum(sizes) / 1e9:.3g} GB; the limit is {limit}: divide it")
     if kind == "csv":
         return read_csv(path, layout, skip=skip)
-    if kind == "npz":
-        return Recording(read_npz(path))
-    if kind == "mat":
-        return Recording(read_mat(path))
-    if kind == "json":
-        return Recording(read_json(path))
+    if kind in _WHOLE:
+        return Recording(_WHOLE[kind](path))
     topics = None if names is None else {name.partition(":")[0] for name in names}
     return read_messages(path, kind, topics)
 

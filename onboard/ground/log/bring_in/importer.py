@@ -18,12 +18,14 @@ from onboard.ground.log.bring_in import channel_rows, foreign, mapping
 from onboard.ground.log.bring_in.errors import SourceError
 from onboard.ground.log.bring_in.mapping import ImuChannel, Mapping, MappingFile
 from onboard.ground.log.bring_in.text_rows import Recording
+from onboard.ground.log.tables.progress import reporter
 from onboard.recording.writer import LogWriter
 
 MAPPING_ATTACHMENT = "mapping.toml"
 IMPORT_METADATA = "import"
 EVENT_CHANNEL = "import_event"
 
+_NOT_RECORDED = {"imu": ("temperature_raw", "filter_code", "sync"), "scalar": ("sync_counter", "device_status")}
 _BLOCK_ROWS = 256  # rows per channel before the next channel's rows follow
 
 
@@ -55,12 +57,10 @@ def import_recordings(
     chosen = mapping.load(mapping_name)
     sources = _sources(source, chosen.file.mapping.format)
     directory.mkdir(parents=True, exist_ok=True)
-    task = None if progress is None else progress.add_task(f"import {source.name}", total=len(sources))
-    logs = []
+    tell, logs = reporter(progress, f"import {source.name}", len(sources)), list[ImportedLog]()
     for one in sources:
         logs.append(_import(chosen, one, directory / f"{one.stem}.mcap"))
-        if progress is not None and task is not None:
-            progress.advance(task)
+        tell(len(logs))
     return logs
 
 
@@ -89,11 +89,10 @@ def _import(chosen: Mapping, source: Path, log: Path) -> ImportedLog:
         if skip:
             columns, skipped[name] = channel_rows.without_bad_rows(path, columns, channel, time)
         host_ns = channel_rows.times_ns(path, columns, time, channel_rows.columns_of(channel)[0])
-        channels[name] = (
-            channel_rows.imu(path, columns, channel, host_ns)
-            if isinstance(channel, ImuChannel)
-            else channel_rows.scalar(path, columns, channel, host_ns)
-        )
+        if isinstance(channel, ImuChannel):
+            channels[name] = channel_rows.imu(path, columns, channel, host_ns)
+        else:
+            channels[name] = channel_rows.scalar(path, columns, channel, host_ns)
     for count in sorted(set(skipped.values()) - {0}):
         names = ", ".join(name for name, own in skipped.items() if own == count)
         told.append(f"{count} rows left out: a cell that is no number, or a time that does not rise: {names}")
@@ -153,15 +152,8 @@ def _write(chosen: Mapping, files: Iterable[Path], log: Path, channels: dict[str
 
 def _absent(chosen: Mapping) -> list[str]:
     """Fields that the recording lacks; they are 0 in every row."""
-    return [
-        f"{name}.{field}"
-        for name, channel in chosen.file.channel.items()
-        for field in (
-            ("temperature_raw", "filter_code", "sync")
-            if isinstance(channel, ImuChannel)
-            else ("sync_counter", "device_status")
-        )
-    ]
+    channels = chosen.file.channel.items()
+    return [f"{name}.{field}" for name, channel in channels for field in _NOT_RECORDED[channel.record]]
 
 
 def _write_by_time(writer: LogWriter, channels: dict[str, Rows]) -> None:

@@ -66,7 +66,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -287,10 +287,8 @@ class MappingFile(_Section):
     channel: Annotated[dict[str, ChannelMapping], Field(min_length=1)]
 
 
-class Mapping(BaseModel):
+class Mapping(NamedTuple):
     """A parsed mapping file and its text."""
-
-    model_config = ConfigDict(frozen=True)
 
     path: Path
     text: str
@@ -315,4 +313,4 @@ def load(name: str | Path) -> Mapping:
         file = config.validated(MappingFile, config.tree_of(text, str(path)), config.Origin(str(path), text))
     except config.ConfigError as error:
         raise MappingError(str(error)) from error
-    return Mapping(path=path, text=text, file=file)
+    return Mapping(path, text, file)

@@ -12,6 +12,9 @@ from onboard.ground.log.bring_in.text_rows import LARGEST_BYTES, Values
 
 _HEADER, _COMPRESSED = 128, 15  # bytes of version 5's, miCOMPRESSED
 _AT_ONCE = 1 << 20
+_BROKEN = (  # what the reader raises for altered files
+    *(ValueError, TypeError, KeyError, EOFError, NotImplementedError, OverflowError, MemoryError, zlib.error),
+)
 
 
 def read_mat(path: Path) -> dict[str, Values]:
@@ -33,17 +36,7 @@ def read_mat(path: Path) -> dict[str, Values]:
     _require_bounded(path, head)
     try:
         loaded = loadmat(path, simplify_cells=True)
-    except (
-        MatReadError,
-        ValueError,
-        TypeError,
-        KeyError,
-        EOFError,
-        NotImplementedError,
-        OverflowError,
-        MemoryError,
-        zlib.error,
-    ) as error:
+    except (MatReadError, *_BROKEN) as error:
         raise SourceError(f"{path} is no MAT file that can be read ({error}); save it again with '-v7'") from error
     return dict(_arrays(loaded, ""))
 

@@ -22,6 +22,7 @@ from onboard.ground.log.export import opener
 from onboard.ground.log.export.dump import DumpResult, begin
 from onboard.ground.log.tables.columns import TIME_FIELD, TableColumn, time_columns
 from onboard.ground.log.tables.flight_tables import FlightTables
+from onboard.ground.log.tables.progress import follow
 from onboard.ground.log.tables.selection import Selection, inside
 from onboard.ground.log.tables.vehicle_time import UNKNOWN, Timed, timed
 from onboard.recording.format.texts import printable
@@ -111,7 +112,7 @@ def dump_aligned(
         begin(Path(target), tables, {"aligned": files[0].name}, force=force)
     elif kind != "csv":
         raise ValueError(f"--to {kind} -: only csv goes into a pipe; give a directory")
-    task = None if progress is None else progress.add_task(f"align {reader.path.name}", total=reader.size)
+    tell = follow(progress, "align", reader)
     count = 0
     table = make(files[0] if files else target, found.columns)  # type: ignore[arg-type]  # an open file it is
     try:
@@ -119,8 +120,7 @@ def dump_aligned(
             rows = block if windows is None else block[inside(block[TIME_FIELD], windows)]
             table.write(rows)
             count += len(rows)
-            if progress is not None and task is not None:
-                progress.update(task, completed=reader.position)
+            tell()
     finally:
         table.close()
     return DumpResult(files, {"aligned": count}, reader.damage, reader.exit_code)

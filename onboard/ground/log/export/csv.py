@@ -183,12 +183,9 @@ def _instants(time_ns: NDArray[np.int64]) -> Cells:
 
 def _fraction(nanoseconds: NDArray[np.int64]) -> Cells:
     """A dot and nine digits."""
-    groups = [_groups()[part].view(np.uint8).reshape(-1, 4) for part in _nine(nanoseconds)]
+    parts = nanoseconds // 100_000_000, nanoseconds // 10_000 % 10_000, nanoseconds % 10_000
+    groups = [_groups()[part].view(np.uint8).reshape(-1, 4) for part in parts]
     return np.column_stack([_filled(".", len(nanoseconds)), groups[0][:, 3:], *groups[1:]])
-
-
-def _nine(nanoseconds: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
-    return nanoseconds // 100_000_000, nanoseconds // 10_000 % 10_000, nanoseconds % 10_000
 
 
 def _filled(mark: str, count: int) -> Cells:

@@ -17,6 +17,7 @@ from drivers.records import Rows
 from onboard.ground.log.export import TableWriter, legend, opener
 from onboard.ground.log.tables.columns import TableColumn
 from onboard.ground.log.tables.flight_tables import FlightTables
+from onboard.ground.log.tables.progress import reporter
 from onboard.ground.log.tables.selection import Selection
 from onboard.recording.format.scan import Damage
 from onboard.recording.reader import LogReader
@@ -82,7 +83,7 @@ def dump(
     else:
         raise ValueError(f"a single CSV goes into a pipe: say which with --channel; the log has {', '.join(chosen)}")
     passes = 1 + bool(tables.clocked and set(chosen) - set(tables.clocked))
-    task = None if progress is None else progress.add_task(f"dump {reader.path.name}", total=passes * reader.size)
+    tell = reporter(progress, f"dump {reader.path.name}", passes * reader.size)
     pending: dict[str, _Pending] = {}
     done = 0
     with ExitStack() as stack:
@@ -91,11 +92,9 @@ def dump(
             stack.callback(pending[name].close)
         for channel, rows in batches:
             pending[channel].add(rows)
-            if progress is not None and task is not None:
-                done = max(done, reader.position + (reader.size if passes > 1 and channel in tables.clocked else 0))
-                progress.update(task, completed=done)
-    if progress is not None and task is not None:
-        progress.update(task, completed=passes * reader.size)
+            done = max(done, reader.position + (reader.size if passes > 1 and channel in tables.clocked else 0))
+            tell(done)
+    tell(passes * reader.size)
     counts = {name: table.rows for name, table in pending.items()}
     return DumpResult(tuple(paths.values()), counts, reader.damage, reader.exit_code)
 

@@ -42,60 +42,54 @@ class MatTable(SpooledTable):
         Raises:
             ValueError: a column is larger than the format can hold.
         """
-        columns = self._spool.columns
         try:
-            with self._path.open("wb") as file:
+            with self.path.open("wb") as file:
                 file.write(_DESCRIPTION.ljust(124) + struct.pack("<H2s", 0x0100, b"IM"))
-                for number, column in enumerate(columns):
-                    dtype = self._spool.dtypes[number]
+                for number, column in enumerate(self.columns):
+                    dtype = self.dtypes[number]
                     if dtype.kind == "S":
                         self._text(file, number, column.name)
                     else:
-                        kind, array_class = _TYPES[dtype.str[1:]]
-                        size = self._spool.rows * dtype.itemsize
-                        blocks = self._spool.blocks(number)
-                        self._variable(file, column.name, array_class, 1, kind, size, blocks)
-                units = np.array([f"{c.name} [{c.unit}]" for c in columns] or [""], np.str_)
+                        size, types = self.rows * dtype.itemsize, _TYPES[dtype.str[1:]]
+                        self._variable(file, column.name, types, (self.rows, 1), size, self.blocks(number))
+                units = np.array([f"{c.name} [{c.unit}]" for c in self.columns] or [""], np.str_)
                 chars = units.view(np.uint32).reshape(len(units), -1).astype("<u2").T
                 self._matrix(file, "units", len(units), chars.shape[0], [chars.tobytes()])
         finally:
-            self._spool.close()
+            self.discard()
 
     def _text(self, file: BinaryIO, number: int, name: str) -> None:
         """Write a character matrix, stored column by column."""
-        width = self._spool.dtypes[number].itemsize
+        width = self.dtypes[number].itemsize
 
         def places() -> Iterator[bytes]:
-            rows = self._spool.mapped(number).view(np.uint8).reshape(-1, width)
+            rows = self.mapped(number).view(np.uint8).reshape(-1, width)
             for place in range(width):
                 for first in range(0, len(rows), BLOCK_BYTES // 2):
                     block = rows[first : first + BLOCK_BYTES // 2, place].astype("<u2")
                     block[block == 0] = ord(" ")
                     yield block.tobytes()
 
-        self._matrix(file, name, self._spool.rows, width, places() if self._spool.rows else [])
+        self._matrix(file, name, self.rows, width, places() if self.rows else [])
 
     def _matrix(self, file: BinaryIO, name: str, rows: int, width: int, blocks: Iterable[bytes]) -> None:
-        self._variable(file, name, _MX_CHAR, width, _MI_UINT16, 2 * rows * width, blocks, rows)
+        self._variable(file, name, (_MI_UINT16, _MX_CHAR), (rows, width), 2 * rows * width, blocks)
 
     def _variable(
         self,
         file: BinaryIO,
         name: str,
-        array_class: int,
-        width: int,
-        kind: int,
+        types: tuple[int, int],
+        shape: tuple[int, int],
         size: int,
         blocks: Iterable[bytes],
-        rows: int | None = None,
     ) -> None:
         if size > _MOST_BYTES:
             raise ValueError(
-                f"{self._path}: {name} has {size:,} bytes, and a MAT-file variable is limited to 2 GiB; cut the log "
+                f"{self.path}: {name} has {size:,} bytes, and a MAT-file variable is limited to 2 GiB; cut the log "
                 "with --from and --until, or use npz or parquet"
             )
-        title = name.encode()[:_NAME_BYTES]
-        shape = (self._spool.rows if rows is None else rows, width)
+        (kind, array_class), title = types, name.encode()[:_NAME_BYTES]
         head = struct.pack("<IIII", _MI_UINT32, 8, array_class, 0) + struct.pack("<IIii", _MI_INT32, 8, *shape)
         head += struct.pack("<II", _MI_INT8, len(title)) + _padded(title) + struct.pack("<II", kind, size)
         file.write(struct.pack("<II", _MI_MATRIX, len(head) + size + -size % 8) + head)

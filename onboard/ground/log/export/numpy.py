@@ -12,21 +12,23 @@ class NpzTable(SpooledTable):
 
     def close(self) -> None:
         """Finish the file."""
-        columns = self._spool.columns
         try:
-            with zipfile.ZipFile(self._path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-                for number, column in enumerate(columns):
+            with zipfile.ZipFile(self.path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+                for number, column in enumerate(self.columns):
                     header = {
-                        "descr": np.lib.format.dtype_to_descr(self._spool.dtypes[number]),
+                        "descr": np.lib.format.dtype_to_descr(self.dtypes[number]),
                         "fortran_order": False,
-                        "shape": (self._spool.rows,),
+                        "shape": (self.rows,),
                     }
                     with archive.open(f"{column.name}.npy", "w", force_zip64=True) as file:
                         np.lib.format.write_array_header_2_0(file, header)
-                        for block in self._spool.blocks(number):
+                        for block in self.blocks(number):
                             file.write(block)
-                for name, texts in (("columns", [c.name for c in columns]), ("units", [c.unit for c in columns])):
+                for name, texts in (
+                    ("columns", [c.name for c in self.columns]),
+                    ("units", [c.unit for c in self.columns]),
+                ):
                     with archive.open(f"{name}.npy", "w") as file:
                         np.lib.format.write_array(file, np.array(texts, np.str_), allow_pickle=False)
         finally:
-            self._spool.close()
+            self.discard()

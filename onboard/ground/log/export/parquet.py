@@ -24,20 +24,19 @@ class ParquetTable:
     def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
         self._columns, self._target = columns, target
         self._writer: pq.ParquetWriter | None = None
-        self._schema: pa.Schema | None = None
 
     def write(self, rows: Rows) -> None:
         """Write rows (n,)."""
         arrays = [_array(column.values(rows)) for column in self._columns]
-        if self._writer is None or self._schema is None:
+        if self._writer is None:
             fields = [
                 pa.field(column.name, array.type, nullable=column.name == "utc", metadata={"unit": column.unit})
                 for column, array in zip(self._columns, arrays, strict=True)
             ]
-            self._schema = pa.schema(fields)
             # dictionary encoding costs a third of the speed for a tenth of the size
-            self._writer = pq.ParquetWriter(self._target, self._schema, compression="lz4", use_dictionary=False)
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema), row_group_size=max(1, len(rows)))
+            self._writer = pq.ParquetWriter(self._target, pa.schema(fields), compression="lz4", use_dictionary=False)
+        table = pa.Table.from_arrays(arrays, schema=self._writer.schema)
+        self._writer.write_table(table, row_group_size=max(1, len(rows)))
 
     def close(self) -> None:
         """Finish the file."""

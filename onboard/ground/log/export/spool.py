@@ -21,20 +21,21 @@ def seconds(values: Values) -> Values:
     return np.where(np.isnat(values), np.nan, values.view(np.int64) * 1e-9)
 
 
-class Spool:
-    """One temporary file per column, removed on close.
+class SpooledTable:
+    """A file that is written at its close, from a temporary file per column beside it.
 
     Args:
-        directory: where the files go; needs space for the table once more.
+        target: path of the file; its directory needs space for the table once more.
         columns: columns of the table.
     """
 
-    def __init__(self, directory: Path, columns: Sequence[TableColumn]) -> None:
-        self.columns, self.rows = columns, 0
+    def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
+        assert isinstance(target, Path)
+        self.path, self.columns, self.rows = target, columns, 0
         self.dtypes: list[np.dtype[np.generic]] = [np.dtype(np.float64) for _ in columns]
         self._stack = ExitStack()
         self._files: list[IO[bytes]] = [
-            self._stack.enter_context(tempfile.TemporaryFile(dir=directory))  # noqa: SIM115
+            self._stack.enter_context(tempfile.TemporaryFile(dir=target.parent))  # noqa: SIM115
             for _ in columns
         ]
 
@@ -58,20 +59,6 @@ class Spool:
         self._files[number].flush()
         return np.memmap(self._files[number], self.dtypes[number], "r", shape=(self.rows,))
 
-    def close(self) -> None:
-        """Remove the files."""
+    def discard(self) -> None:
+        """Remove the temporary files."""
         self._stack.close()
-
-
-class SpooledTable:
-    """A file that is written at its close, from a spool.
-
-    Args:
-        target: path of the file.
-        columns: columns of the table.
-    """
-
-    def __init__(self, target: Path | BinaryIO, columns: Sequence[TableColumn]) -> None:
-        assert isinstance(target, Path)
-        self._path, self._spool = target, Spool(target.parent, columns)
-        self.write = self._spool.write

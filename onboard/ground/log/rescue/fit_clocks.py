@@ -102,25 +102,16 @@ def coarse_clocks(vehicle: VehicleModel, recorded: RecordedPair, rate_limit: flo
     return [FittedClock(found.pivot_s, found.offset_s, found.rate, COARSE_SIGMA_S, rate_limit)]
 
 
-def placed_signals(
-    recorded: RecordedPair, clock: FittedClock, samples: int, width_s: float
-) -> tuple[FlightSignals, float]:
-    """Ticks of the time that both recorders share, joints placed by ``clock``; and the middle of it.
-
-    Args:
-        recorded: both recorders.
-        clock: of the encoders.
-        samples: of the IMU in each tick, odd.
-        width_s: of the kernel that smooths the joints.
-    """
+def placed_signals(recorded: RecordedPair, clock: FittedClock) -> tuple[FlightSignals, float]:
+    """Ticks of the time that both recorders share, joints placed by the encoders' ``clock``; and the middle of it."""
     times_s = clock.reference_s(recorded.joints_s)
     inside = (recorded.imu_s >= times_s[0]) & (recorded.imu_s <= times_s[-1])
     grid_s = recorded.imu_s[inside]
-    if len(grid_s) < 8 * samples:
+    if len(grid_s) < 8 * _SAMPLES:
         raise ResyncError("the two recordings have no common time by this clock: give the ones that belong together")
     angle = CubicSpline(times_s, recorded.angle)(grid_s)
     rate, force = recorded.rate[inside], recorded.specific_force[inside]
-    signals = tick_signals(grid_s, angle, rate, force, recorded.sigma, samples, width_s)
+    signals = tick_signals(grid_s, angle, rate, force, recorded.sigma, _SAMPLES, _WIDTH_S)
     return signals, 0.5 * float(grid_s[0] + grid_s[-1])
 
 
@@ -157,7 +148,7 @@ def _settled(recorded: RecordedPair, clock: FittedClock, build: Build, imu_prior
     """The fit with the clock's share in it, joints placed anew until nothing moves."""
     span_s = float(np.ptp(recorded.imu_s))
     for done in range(1, ROUNDS + 1):
-        signals, middle_s = placed_signals(recorded, clock, _SAMPLES, _WIDTH_S)
+        signals, middle_s = placed_signals(recorded, clock)
         widened = imu_prior._replace(delay_s=clock.sigma_offset_s, clock_rate_error=clock.sigma_rate)
         found = build(signals, widened).fit()
         delay_s, rate_error = found.fit.x[-2:]

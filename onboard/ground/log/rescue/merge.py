@@ -22,6 +22,7 @@ from rich.progress import Progress
 from drivers.records import EVENT, GAP, SCALAR, Batch, Rows
 from onboard.channels import CLOCK
 from onboard.flight.store.flight_log import VEHICLE_ATTACHMENT
+from onboard.ground.log.tables.progress import reporter
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.format.scan import Damage
 from onboard.recording.format.segments import END, METADATA, RECORDED
@@ -87,8 +88,7 @@ def merge(
     logs = [part.open() for part in parts]
     parts = _labelled(parts, logs)
     names = _names(parts, logs, rename)
-    size = sum(log.size for log in logs)
-    task = None if progress is None else progress.add_task(f"merge {len(logs)} logs", total=size)
+    tell = reporter(progress, f"merge {len(logs)} logs", sum(log.size for log in logs))
     rows = {new: 0 for known in names for new in known.values()}
     spans: list[tuple[int, int] | None] = [None] * len(logs)
     streams = [_stream(n, part, log, names[n]) for n, (part, log) in enumerate(zip(parts, logs, strict=True))]
@@ -102,8 +102,7 @@ def merge(
             rows[batch.channel] += len(batch.rows)
             start_ns, end_ns = spans[number] or (first_ns, first_ns)
             spans[number] = min(start_ns, first_ns), max(end_ns, int(batch.rows["host_ns"][-1]))
-            if progress is not None and task is not None:
-                progress.update(task, completed=sum(log.position for log in logs))
+            tell(sum(log.position for log in logs))
     damage = tuple(one for log in logs for one in log.damage)
     labels = [f"{part.label} is {part.segments[0]}" for part in parts if part.label]
     told = [f"channels that several logs have are renamed: {', '.join(labels)}"] if labels else []
@@ -207,7 +206,7 @@ def in_turn(parts: Sequence[RecorderLog], phase: str, output: Path, *, progress:
         raise ValueError("give two recordings or more to join")
     logs = [part.open() for part in parts]
     _require(logs, phase)
-    task = None if progress is None else progress.add_task("merge", total=sum(log.size for log in logs))
+    tell = reporter(progress, "merge", sum(log.size for log in logs))
     spans = [_span(log) for log in logs]
     rows = {name: 0 for log in logs for name in log.channels} | {phase: 0}
     end_ns, following = spans[0][0] - round(PAUSE_S * 1e9), dict[str, int]()
@@ -229,8 +228,7 @@ def in_turn(parts: Sequence[RecorderLog], phase: str, output: Path, *, progress:
                 following[name] = int(moved["sequence"][-1]) + 1
                 writer.write(name, moved)
                 rows[name] = rows.get(name, 0) + len(moved)
-            if progress is not None and task is not None:
-                progress.update(task, advance=log.size)
+            tell(sum(done.size for done in logs[:number]))
             end_ns = last_ns + shift_ns
         sources = {str(number): ", ".join(path.name for path in log.segments) for number, log in enumerate(logs, 1)}
         writer.add_metadata("in turn", sources)

@@ -194,12 +194,9 @@ def _place(
         return _aligned(log, reference, found, "shocks that both felt")
     if vehicle is not None and vehicle.file.vehicle.base_kind.falls and vehicle.file.vehicle.payload_link and joints:
         return _through_the_model(log, reference, joints, (seen[0], seen[1]), vehicle, rate_limit)
-    if imu:
-        return _aligned(
-            log, reference, align(seen[0], _imu(log, imu)[0], peak_Hz, rate_limit), "angular rates of two IMUs"
-        )
-    found = align(seen[0], _rates(joints), peak_Hz, rate_limit)
-    return _aligned(log, reference, found, "angular rate and joint rates")
+    turns = _imu(log, imu)[0] if imu else _rates(joints)
+    how = "angular rates of two IMUs" if imu else "angular rate and joint rates"
+    return _aligned(log, reference, align(seen[0], turns, peak_Hz, rate_limit), how)
 
 
 def _aligned(log: LogReader, reference: LogReader, found: Alignment, how: str) -> AlignedLog:
@@ -239,19 +236,8 @@ def _through_the_model(
     clock = found.clock
     how = "base rate and specific force predicted from the joints, payload and momentum fitted with the clock"
     unique = f"residuals are {found.misfit:.2f} times the noise, settled in {found.rounds} rounds"
-    return AlignedLog(
-        log.segments[0],
-        reference.segments[0],
-        clock.offset_s,
-        clock.rate,
-        0.0,
-        clock.pivot_s,
-        clock.sigma_offset_s,
-        clock.sigma_rate,
-        how,
-        unique,
-        found.found.payload,
-    )
+    line = clock.offset_s, clock.rate, 0.0, clock.pivot_s, clock.sigma_offset_s, clock.sigma_rate
+    return AlignedLog(log.segments[0], reference.segments[0], *line, how, unique, found.found.payload)
 
 
 def _imu_channel(log: LogReader, vehicle: config.Vehicle | None) -> str | None:

@@ -8,7 +8,7 @@ their frame (``gyro_imu_base_x``), and the zero count is taken off converted val
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,19 +53,8 @@ _UNIT_OF_SUFFIX = {  # of the last words of a field's name
     "tick": "count",
 }
 _CARTESIAN = {
-    "accel",
-    "acceleration",
-    "angular",
-    "axis",
-    "field",
-    "force",
-    "gyro",
-    "magnetic",
-    "moment",
-    "position",
-    "specific",
-    "torque",
-    "velocity",
+    *("accel", "acceleration", "angular", "axis", "field", "force", "gyro", "magnetic", "moment", "position"),
+    *("specific", "torque", "velocity"),
 }
 
 
@@ -126,14 +115,13 @@ def unit_of(field: str) -> str:
 @cache
 def timed_dtype(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
     """``dtype`` with ``time_ns``, vehicle time, behind its fields."""
-    fields = dtype.fields
-    assert dtype.names is not None
-    assert fields is not None
+    names = dtype.names or ()
+    fields: Mapping[str, Any] = dtype.fields or {}
     return np.dtype(
         {
-            "names": [*dtype.names, TIME_FIELD],
-            "formats": [*(fields[name][0] for name in dtype.names), "<i8"],
-            "offsets": [*(fields[name][1] for name in dtype.names), dtype.itemsize],
+            "names": [*names, TIME_FIELD],
+            "formats": [*(fields[name][0] for name in names), "<i8"],
+            "offsets": [*(fields[name][1] for name in names), dtype.itemsize],
             "itemsize": dtype.itemsize + 8,
         }
     )
@@ -194,9 +182,7 @@ def columns(
 
 
 def _fields(dtype: np.dtype[np.void]) -> dict[str, tuple[int, ...]]:
-    assert dtype.names is not None
-    assert dtype.fields is not None
-    return {name: dtype.fields[name][0].shape for name in dtype.names}
+    return {name: dtype[name].shape for name in dtype.names or ()}
 
 
 def _is_plain(dtype: np.dtype[np.void], name: str, kinds: str) -> bool:

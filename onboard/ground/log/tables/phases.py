@@ -38,15 +38,10 @@ def phases_of(log: LogReader, settings: config.Phases | None, end_ns: int) -> tu
                 changes.append((at_ns, code))
     ends = [*(at_ns for at_ns, _ in changes), end_ns][1:]
     phases: list[Phase] = []
+    named = {settings.payload_gone: "release", settings.end: "end"}
     for (start_ns, code), stop_ns in zip(changes, ends, strict=True):
         sweep = code in settings.identify
         number = sum(phase.sweep for phase in phases) + 1
-        phases.append(Phase(start_ns, stop_ns, code, _name(settings, code, number), sweep))
+        name = f"sweep {number}" if sweep else named.get(code, f"phase {code}")
+        phases.append(Phase(start_ns, stop_ns, code, name, sweep))
     return tuple(phases)
-
-
-def _name(settings: config.Phases, code: int, number: int) -> str:
-    if code in settings.identify:
-        return f"sweep {number}"
-    named = {settings.payload_gone: "release", settings.end: "end"}
-    return named.get(code, f"phase {code}")

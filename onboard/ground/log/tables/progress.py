@@ -7,9 +7,15 @@ from rich.progress import Progress
 from onboard.recording.reader import LogReader
 
 
+def reporter(progress: Progress | None, title: str, total: int) -> Callable[[int], None]:
+    """Add a task; returns what is to be told how much of ``total`` is done."""
+    if progress is None:
+        return lambda completed: None
+    task = progress.add_task(title, total=total)
+    return lambda completed: progress.update(task, completed=completed)
+
+
 def follow(progress: Progress | None, what: str, log: LogReader) -> Callable[[], None]:
     """Add a task for one pass over ``log``; returns what is to be called now and then meanwhile."""
-    if progress is None:
-        return lambda: None
-    task = progress.add_task(f"{what} {log.path.name}", total=log.size)
-    return lambda: progress.update(task, completed=log.position)
+    tell = reporter(progress, f"{what} {log.path.name}", log.size)
+    return lambda: tell(log.position)

@@ -46,8 +46,11 @@ class Selection:
         high = last_ns + 1 if self.end_s is None else first_ns + round(self.end_s * 1e9)
         if not self.phases:
             return [(low, high)]
-        known = phases_of(log, _phase_settings(log, vehicle), last_ns + 1)
-        wanted = [phase for phase in known if self.phases and {phase.name, str(phase.code)} & set(self.phases)]
+        if vehicle is None:
+            why = "carries no vehicle file that says what its phases are; give it with --vehicle"
+            raise ValueError(f"{log.path} {why}")
+        known = phases_of(log, vehicle.file.estimation.phases, last_ns + 1)
+        wanted = [phase for phase in known if {phase.name, str(phase.code)} & set(self.phases)]
         names = {name for phase in wanted for name in (phase.name, str(phase.code))}
         if missing := sorted(set(self.phases) - names):
             there = ", ".join(dict.fromkeys(phase.name for phase in known)) or "no phases"
@@ -61,12 +64,6 @@ def inside(at_ns: NDArray[np.int64], windows: Sequence[tuple[int, int]]) -> NDAr
     for start_ns, end_ns in windows:
         found |= (at_ns >= start_ns) & (at_ns < end_ns)
     return found
-
-
-def _phase_settings(log: LogReader, vehicle: config.Vehicle | None) -> config.Phases | None:
-    if vehicle is None:
-        raise ValueError(f"{log.path} carries no vehicle file that says what its phases are; give it with --vehicle")
-    return vehicle.file.estimation.phases
 
 
 def span_of(log: LogReader) -> tuple[int, int]:

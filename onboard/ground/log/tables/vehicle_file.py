@@ -75,13 +75,10 @@ def flown_by(logs: Sequence[LogReader], directory: Path) -> config.Vehicle:
     Raises:
         ConfigError: none is carried that can be used, or not the same one by all.
     """
-    texts = {
-        log.path: log.attachments[VEHICLE_ATTACHMENT].data for log in logs if VEHICLE_ATTACHMENT in log.attachments
-    }
     for log in logs:
-        if log.path not in texts:
+        if VEHICLE_ATTACHMENT not in log.attachments:
             raise config.ConfigError(f"{log.path} carries no vehicle file; give the vehicle that flew")
-        if texts[log.path] != texts[logs[0].path]:
+        if log.attachments[VEHICLE_ATTACHMENT].data != logs[0].attachments[VEHICLE_ATTACHMENT].data:
             raise config.ConfigError(
                 f"{log.path} and {logs[0].path} were flown with different vehicle files; give the file to use"
             )

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 from scipy import stats
 
@@ -114,11 +114,9 @@ def compared_quantity(name: str, answers: Sequence[dict[str, np.void]]) -> Compa
     """One quantity by the last answers of each log, and whether they agree."""
     rows = [one.get(name) for one in answers]
     known = [row is not None and bool(row["supported"]) and row["sigma"] > 0 for row in rows]
-    value = np.array(
-        [row["value"] if row is not None and good else np.nan for row, good in zip(rows, known, strict=True)]
-    )
-    sigma = np.array(
-        [row["sigma"] if row is not None and good else np.nan for row, good in zip(rows, known, strict=True)]
+    value, sigma = (
+        np.array([row[key] if row is not None and good else np.nan for row, good in zip(rows, known, strict=True)])
+        for key in ("value", "sigma")
     )
     unit = next((printable(row["unit"]) for row in rows if row is not None and row["supported"]), "")
     at, x, s = np.flatnonzero(known).astype(float), value[known], sigma[known]
@@ -144,12 +142,10 @@ def render(found: FlightComparison) -> RenderableType:
         used = f"{flight.said.used:,} of {flight.said.rows:,}"
         missing = f"{flight.about.unexplained:,}" if flight.about.unexplained else "-"
         flights.add_row(str(number), str(flight.path), f"{flight.about.duration_s:.2f}", missing, used)
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    table.add_column("quantity", no_wrap=True)
-    for heading in (*map(str, range(1, len(found.flights) + 1)), "together", "a flight"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    headings = (*map(str, range(1, len(found.flights) + 1)), "together", "a flight")
+    numbers = (Column(heading, justify="right") for heading in headings)
+    columns = Column("quantity", no_wrap=True), *numbers, Column("unit", no_wrap=True), Column(no_wrap=True)
+    table = Table(*columns, box=None, padding=(0, 1), pad_edge=False, header_style="bold")
     for one in found.quantities:
         each = [interval(value, sigma) for value, sigma in zip(one.value, one.sigma, strict=True)]
         trend = "" if one.trend is None else interval(*one.trend, sign="+")

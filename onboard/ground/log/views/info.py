@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
@@ -175,18 +175,14 @@ class _Gatherer:
         self.modes: list[EventLine] = []
         self._gaps: dict[str, list[Ranges]] = {}
         self._counted: dict[str, list[Ranges]] = {}
-        self._span: tuple[int, int] | None = None
-
-    @property
-    def span(self) -> tuple[int, int]:
-        return self._span or (0, 0)
+        self.span: tuple[int, int] | None = None
 
     def add(self, batch: Batch) -> None:
         rows = batch.rows
         self.channels[batch.channel].add(rows)
         first, last = int(rows["host_ns"].min()), int(rows["host_ns"].max())
-        start, end = self._span or (first, last)
-        self._span = min(start, first), max(end, last)
+        start, end = self.span or (first, last)
+        self.span = min(start, first), max(end, last)
         if "status" in (rows.dtype.names or ()):
             self.flagged[batch.channel] += int(np.count_nonzero(rows["status"]))
         if rows.dtype == GAP:
@@ -259,7 +255,7 @@ def info(log: LogReader | str | Path, progress: Progress | None = None) -> LogIn
     for batch in reader.batches():
         gatherer.add(batch)
         tell()
-    start_ns, end_ns = gatherer.span
+    start_ns, end_ns = gatherer.span or (0, 0)
     return LogInfo(
         path=reader.path,
         size_bytes=reader.size,
@@ -300,23 +296,17 @@ def _head(about: LogInfo) -> Table:
 
 
 def _channel_table(about: LogInfo) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    table.add_column("channel", no_wrap=True)
-    for heading in ("rows", "rate Hz", "missing", "in gaps", "unexplained", "flagged"):
-        table.add_column(heading, justify="right")
+    headings = ("rows", "rate Hz", "missing", "in gaps", "unexplained", "flagged")
+    columns = Column("channel", no_wrap=True), *(Column(heading, justify="right") for heading in headings)
+    table = Table(*columns, box=None, padding=(0, 1), pad_edge=False, header_style="bold")
     for channel in about.channels:
         if not (channel.rows or channel.gaps):
             continue
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
-        table.add_row(
-            Text(channel.name),
-            f"{channel.rows:,}",
-            rate,
-            _count(channel.missing),
-            Text(f"about {channel.gaps:,}") if channel.about else _count(channel.gaps),
-            Text(_count(channel.unexplained), style="bold red" if channel.unexplained else ""),
-            _count(channel.flagged),
-        )
+        gaps = f"about {channel.gaps:,}" if channel.about else _count(channel.gaps)
+        unexplained = Text(_count(channel.unexplained), style="bold red" if channel.unexplained else "")
+        counts = f"{channel.rows:,}", rate, _count(channel.missing), gaps
+        table.add_row(Text(channel.name), *counts, unexplained, _count(channel.flagged))
     return table
 
 

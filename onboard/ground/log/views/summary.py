@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard import channels, config
@@ -120,10 +120,8 @@ def render(found: LogOverview) -> RenderableType:
 
 def plain_table(*headings: str) -> Table:
     """Without a frame, the first column on the left, the others on the right."""
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
-    return table
+    columns = (Column(one, justify="right" if k else "left", no_wrap=True) for k, one in enumerate(headings))
+    return Table(*columns, box=None, padding=(0, 1), pad_edge=False, header_style="bold")
 
 
 def _clocks(found: LogOverview) -> RenderableType | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.columns import Columns
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from drivers.records import EVENT, GAP, Batch, Rows, Severity
@@ -192,13 +192,10 @@ class Board:
             rate = channel.rate_hz(self.now_ns)
             quiet = self.now_ns - channel.last_ns > _QUIET_NS and channel.rows > 20
             unexplained = channel.missing > channel.told
-            table.add_row(
-                Text(name, "red" if quiet and not rate else ""),
-                f"{rate:.0f}" if rate else "-",
-                f"{channel.rows:,}",
-                Text(f"{channel.missing:,}" if channel.missing else "-", "bold red" if unexplained else ""),
-                f"{channel.flagged:,}" if channel.flagged else "-",
-            )
+            missing = Text(f"{channel.missing:,}" if channel.missing else "-", "bold red" if unexplained else "")
+            flagged = f"{channel.flagged:,}" if channel.flagged else "-"
+            counts = f"{rate:.0f}" if rate else "-", f"{channel.rows:,}"
+            table.add_row(Text(name, "red" if quiet and not rate else ""), *counts, missing, flagged)
         return table
 
     def _clock_table(self) -> Table:
@@ -234,12 +231,8 @@ class Board:
             return []
         rms = np.sqrt(np.mean(np.concatenate(known) ** 2, axis=0))
         shown = [" ".join(f"{one:.2f}" for one in rms[part]) for part in (slice(3), slice(3, 6))]
-        return [
-            Text(
-                f"innovations over sigma: rate {shown[0]}, specific force {shown[1]}",
-                "yellow" if rms.max() ** 2 > MISFIT_DOUBTED else "",
-            )
-        ]
+        style = "yellow" if rms.max() ** 2 > MISFIT_DOUBTED else ""
+        return [Text(f"innovations over sigma: rate {shown[0]}, specific force {shown[1]}", style)]
 
     def _answer_table(self) -> Table:
         table = _table("estimate", "value", "95 % ±", "", "", "so far")
@@ -256,14 +249,9 @@ class Board:
             said = standing_of(row)
             half = float(max(row["high"] - row["value"], row["value"] - row["low"]))
             relative = f"{100 * half / abs(float(row['value'])):.2f} %" if row["value"] else ""
-            table.add_row(
-                Text(name, "" if said is None or said.level is Level.GOOD else "yellow"),
-                f"{row['value']:.6g}",
-                f"{half:.2g}",
-                unit,
-                relative,
-                Text(trend(answer.widths), "cyan"),
-            )
+            numbers = f"{row['value']:.6g}", f"{half:.2g}", unit, relative
+            style = "" if said is None or said.level is Level.GOOD else "yellow"
+            table.add_row(Text(name, style), *numbers, Text(trend(answer.widths), "cyan"))
         return table
 
     def _reasons(self) -> list[RenderableType]:
@@ -300,7 +288,5 @@ def trend(values: Iterable[float]) -> str:
 
 
 def _table(*headings: str) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="bold")
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if 0 < number < 5 else "left", no_wrap=True)
-    return table
+    columns = (Column(one, justify="right" if 0 < k < 5 else "left", no_wrap=True) for k, one in enumerate(headings))
+    return Table(*columns, box=None, padding=(0, 1), pad_edge=False, header_style="bold")

@@ -20,9 +20,7 @@ def recognised(table: ColumnGroup, vehicle_joints: int = 0) -> ColumnGroup:
         table: of numbered columns.
         vehicle_joints: that are measured; 0: not known.
     """
-    columns = sorted(
-        (*table.rest, *(c for g in table.groups for c in g.columns.values())), key=lambda one: int(one.name)
-    )
+    columns = sorted(table.columns, key=lambda one: int(one.name))
     clock = table.clock
     if clock is None or len(clock.seconds) < 50:
         return table
@@ -65,7 +63,5 @@ def _named(
         for kind, own, block in zip(kinds, why, blocks, strict=False)
     ]
     used = {one.name for block in blocks[: len(kinds)] for one in block}
-    rest = [
-        one for one in (*table.rest, *(c for g in table.groups for c in g.columns.values())) if one.name not in used
-    ]
-    return table._replace(groups=tuple(groups), rest=tuple(rest))
+    rest = tuple(one for one in table.columns if one.name not in used)
+    return table._replace(groups=tuple(groups), rest=rest)

@@ -52,14 +52,8 @@ class TimeColumn(NamedTuple):
         """The same in another unit, which is known."""
         factor = NS_PER[unit] / NS_PER[self.unit]
         count, longest_s = self.gaps
-        return self._replace(
-            unit=unit,
-            why=why,
-            doubt="",
-            seconds=self.seconds * factor,
-            rate_Hz=self.rate_Hz / factor,
-            gaps=(count, longest_s * factor),
-        )
+        found = self._replace(unit=unit, why=why, doubt="", gaps=(count, longest_s * factor))
+        return found._replace(seconds=self.seconds * factor, rate_Hz=self.rate_Hz / factor)
 
 
 def clock(column: str, values: Values, named: str) -> TimeColumn | None:

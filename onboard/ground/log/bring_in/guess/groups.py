@@ -140,12 +140,6 @@ def _rises(values: Values) -> bool:
     return len(values) > 10 and bool((np.diff(values) > 0).all()) and bool(values[0] >= 0)
 
 
-def _of_motion_capture(columns: Mapping[tuple[tuple[str, ...], str], object]) -> bool:
-    """Whether T stands beside R, as translation beside rotation: RX, RY, RZ, TX, TY, TZ."""
-    stems = {stem for stem, _ in columns}
-    return ("t",) in stems and ("r",) in stems
-
-
 def _groups(columns: list[NumberColumn], joints: Sequence[str]) -> tuple[list[Group], list[NumberColumn]]:
     together: dict[tuple[tuple[str, ...], str], dict[str, NumberColumn]] = {}
     doubts: dict[tuple[tuple[str, ...], str], str] = {}
@@ -160,14 +154,14 @@ def _groups(columns: list[NumberColumn], joints: Sequence[str]) -> tuple[list[Gr
         rest.append(one)
         if not np.array_equal(own[one.of.label].values, one.values, equal_nan=one.values.dtype.kind == "f"):
             doubts[place] = f"{own[one.of.label].name!r} could be {one.name!r} as well, which differs"
-    groups: list[Group] = []
+    groups, stems = list[Group](), {stem for stem, _ in together}
     for (stem, unit), found in together.items():
         kind = names.kind_of(Name(stem, "", unit), frozenset(found))
         if kind == "angle" and set(found) == set("0123") and _is_attitude(found):
             kind = "quaternion"
         if kind == "angle" and stem[-1:] == ("a",) and len(found) < 3:
             kind = ""
-        if stem == ("t",) and kind == "moment" and _of_motion_capture(together):
+        if stem == ("t",) and kind == "moment" and ("r",) in stems:  # of motion capture: RX, RY, RZ, TX, TY, TZ
             kind = "position"
         doubt = doubts.get((stem, unit), "")
         if not kind and (kind := names.by_unit(Name(stem, "", unit), frozenset(found))):

@@ -171,12 +171,11 @@ def of_angles(values: FloatArray, named: str) -> Unit:
         doubt = f"whole counts: {counts:g} in a turn by their size; what the count is at angle zero is zero_count"
         return Unit("rev", "by default", doubt, counts)
     largest = float(np.nanmax(np.abs(values), initial=0.0))
+    told = f"up to {largest:.4g}"
     if largest > 3.0 * _TURN:
-        return Unit("deg", f"up to {largest:.4g}; in rad only of a motor's shaft")
+        return Unit("deg", f"{told}; in rad only of a motor's shaft")
     if largest > 1.05 * _TURN:
-        return Unit(
-            "deg", f"up to {largest:.4g}", f"up to {largest:.4g}, more than a turn in rad: rad if joints do that"
-        )
+        return Unit("deg", told, f"{told}, more than a turn in rad: rad if joints do that")
     return Unit("rad", f"up to {largest:.3g}")
 
 

@@ -38,22 +38,8 @@ _AFTER = {
     "°": r".*",
 }
 _TIME = {
-    *(
-        "time",
-        "timestamp",
-        "stamp",
-        "t",
-        "ts",
-        "sec",
-        "secs",
-        "second",
-        "seconds",
-        "elapsed",
-        "clock",
-        "times",
-        "timestamps",
-    ),
-    *("rosbagtimestamp", "timestep", "utc", "millis", "micros", "date", "datetime", "ms", "us", "ns"),
+    *("time", "timestamp", "stamp", "t", "ts", "sec", "secs", "second", "seconds", "elapsed", "clock", "times"),
+    *("timestamps", "rosbagtimestamp", "timestep", "utc", "millis", "micros", "date", "datetime", "ms", "us", "ns"),
 }
 _COMMANDED = {
     *("target", "desired", "des", "cmd", "command", "commanded", "ref", "reference", "setpoint", "goal", "d", "c"),

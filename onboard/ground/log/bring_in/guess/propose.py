@@ -249,9 +249,8 @@ class _Maker:
         ratio = magnitudes.slope(magnitudes.going_on(angles.values), rates.values, own.seconds)
         if ratio is None:
             return {"angle": unit}
-        fixed = [
-            name for name, why in ((unit.name, unit.why), (rate.name, rate.why), (own.unit, own.why)) if "name" in why
-        ]
+        known = (unit.name, unit.why), (rate.name, rate.why), (own.unit, own.why)
+        fixed = [name for name, why in known if "name" in why]
         best = magnitudes.agreed(ratio, unit.name, rate.name, own.unit, fixed)
         if best is None:
             odd = f"the angles change {ratio:.3g} times as fast as {rates.called[0]!r} and those beside it say"
@@ -304,9 +303,8 @@ class _Maker:
 
     def _name(self, kind: str, label: str, k: int, group: Group, pattern: str) -> str:
         """Of a channel: a joint's by the vehicle, by its own name, or by its number from 1."""
-        given = {"angle": self._vehicle.angles, "torque": self._vehicle.torques, "current": self._vehicle.torques}.get(
-            kind
-        )
+        torques = self._vehicle.torques
+        given = {"angle": self._vehicle.angles, "torque": torques, "current": torques}.get(kind)
         if given and len(given) == len(group.columns):
             same = [[one for one in given if each in one.lower()] for each in group.labels]
             each_once = all(len(one) == 1 for one in same) and len({one[0] for one in same}) == len(given)
