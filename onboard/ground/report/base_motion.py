@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.ground.drawing.theme import CYCLE, figures, subplots
@@ -22,10 +22,9 @@ def render(found: Predicted) -> RenderableType:
     begin, middle, end = one.time_s[0], one.time_s[one.fitted], one.time_s[-1]
     payload = "payload held" if found.held else "nothing held"
     swing = " ".join(f"{_DEGREES * x:.3g}" for x in one.swing)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("predicted by", no_wrap=True)
-    for heading in ("rms x y z, deg/s", "worst, deg/s", "turned, deg", "off at the end, deg", "off at most, deg"):
-        table.add_column(heading, justify="right")
+    headings = ("rms x y z, deg/s", "worst, deg/s", "turned, deg", "off at the end, deg", "off at most, deg")
+    numbers = (Column(heading, justify="right") for heading in headings)
+    table = Table(Column("predicted by", no_wrap=True), *numbers, box=None, pad_edge=False)
     for method, rate in found.found.items():
         angle, off = rate.turned()
         cells = _DEGREES * np.array([np.abs(rate.error).max(), angle[-1], off[-1], off.max()])

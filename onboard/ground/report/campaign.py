@@ -88,9 +88,8 @@ def _cards(found: Summary, content: Content, failed: int) -> str:
 
 
 def _verdicts(found: Summary, failed: int) -> list[tuple[str, str]]:
-    told = []
     wrong = found.wrong_flights
-    told += [("bad", f"confidently wrong: {text}") for _, text in wrong[:_MOST_TOLD]]
+    told = [("bad", f"confidently wrong: {text}") for _, text in wrong[:_MOST_TOLD]]
     if len(wrong) > _MOST_TOLD:
         told.append(("bad", f"and {len(wrong) - _MOST_TOLD} more flights, among the farthest answers"))
     if not wrong:

@@ -39,18 +39,12 @@ def _verdicts(found: FlightComparison) -> list[tuple[str, str]]:
     for one in found.quantities:
         unit = f" {one.unit}" if one.unit else ""
         if one.chance is not None and one.chance < DISAGREE:
-            told.append(
-                (
-                    "warn",
-                    f"{one.name}: the flights disagree; a single value would scatter so in {one.chance:.2g} of all",
-                )
-            )
+            told.append(f"{one.name}: the flights disagree; a single value would scatter so in {one.chance:.2g} of all")
         if one.trend is not None and abs(one.trend[0]) > HALF * one.trend[1]:
-            told.append(
-                ("warn", f"{one.name} changes by {interval(*one.trend, sign='+')}{unit} from a flight to the next")
-            )
+            told.append(f"{one.name} changes by {interval(*one.trend, sign='+')}{unit} from a flight to the next")
     several = sum(one.chance is not None for one in found.quantities)
-    return told or [("good", f"{several} quantities that several flights answered: all agree, none has a trend")]
+    good = f"{several} quantities that several flights answered: all agree, none has a trend"
+    return [("warn", text) for text in told] or [("good", good)]
 
 
 def _flights(found: FlightComparison) -> str:

@@ -53,10 +53,8 @@ def base_unit(name: str, flight: FlightData) -> str:
 
 
 def _bias_unit(row: str, flight: FlightData) -> str:
-    cells = {cell.name: cell for cell in (flight.roles.cells if flight.roles else ())}
-    if row in cells:
-        return "N"  # a moment is read as a force on a lever
-    return "N m" if row.startswith(("torque", "base_moment")) else "N"
+    cells = {cell.name for cell in (flight.roles.cells if flight.roles else ())}  # a moment is a force on a lever
+    return "N m" if row.startswith(("torque", "base_moment")) and row not in cells else "N"
 
 
 class Side(NamedTuple):
@@ -141,11 +139,8 @@ def by_sweep(flight: FlightData, found: dict[str, list[Alone]], truths: dict[str
             [line] = axes.plot(at_s, factor * one.value, ".-", markersize=4, label=sweep)
             low, high = factor * one.low, factor * one.high
             axes.fill_between(at_s, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
-        _frame(
-            axes,
-            [factor * one.value[-1] for _, one in mine],
-            [factor * e[-1] for _, o in mine for e in (o.low, o.high)],
-        )
+        ends = [factor * end[-1] for _, one in mine for end in (one.low, one.high)]
+        _frame(axes, [factor * one.value[-1] for _, one in mine], ends)
         _truth(axes, truths.get(name), factor)
         axes.set_title(name)
         axes.set_ylabel(unit)

@@ -12,6 +12,7 @@ from drivers.records import Rows, Severity
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.gates import GateReason
 from onboard.ground.drawing.theme import COLOUR, CYCLE, WIDTH_IN, subplots
+from onboard.ground.log.tables.phases import Phase
 from onboard.ground.log.tables.thin import Trace
 from onboard.ground.log.views.summary import reason_words
 from onboard.ground.report.flight.flight_data import FlightData, SweepData
@@ -56,7 +57,7 @@ LabelledSpan = tuple[float, float, str, str]  # start, end [s], colour, text
 def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
     lanes: list[tuple[str, list[LabelledSpan]]] = []
     if flight.phases:
-        lanes.append(("phase", [_phase_span(flight, number) for number in range(len(flight.phases))]))
+        lanes.append(("phase", [_phase_span(flight, phase) for phase in flight.phases]))
     if flight.changes:
         ends_s = [float(flight.seconds(told_ns)) for told_ns, _ in flight.changes[1:]] + [flight.info.duration_s]
         held = [
@@ -72,12 +73,8 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
             refused = (flight.gates["gate"] & int(reason) != 0).any(axis=1)
             lanes.append((f"refused: {reason_words(reason)}", _runs(at_s, refused, COLOUR["idle"])))
     for name, rows in sorted(flight.clocks.items()):
-        at_s = np.append(flight.seconds(rows["host_ns"]), flight.info.duration_s)
-        states = [ClockState(int(state)) for state in rows["state"]]
-        spans = [
-            (start, end, STATE_COLOUR[state], "") for start, end, state in zip(at_s, at_s[1:], states, strict=False)
-        ]
-        lanes.append((f"clock {name}", _joined(spans)))
+        states = _states(rows, flight.seconds(rows["host_ns"]), flight.info.duration_s)
+        lanes.append((f"clock {name}", states))
     troubles: dict[str, list[LabelledSpan]] = {}
     for rows in flight.gaps:
         for row in rows:
@@ -100,8 +97,7 @@ def _lanes(flight: FlightData) -> list[tuple[str, list[LabelledSpan]]]:
     return lanes
 
 
-def _phase_span(flight: FlightData, number: int) -> LabelledSpan:
-    phase = flight.phases[number]
+def _phase_span(flight: FlightData, phase: Phase) -> LabelledSpan:
     start_s, end_s = (float(flight.seconds(t)) for t in (phase.start_ns, phase.end_ns))
     colour = COLOUR["a"] if phase.sweep else COLOUR["d"] if phase.name == "release" else COLOUR["idle"]
     return start_s, end_s, colour, phase.name.replace("phase ", "")
@@ -114,14 +110,14 @@ def _runs(at_s: np.ndarray, flags: np.ndarray, colour: str) -> list[LabelledSpan
     return [(at_s[a], at_s[min(b, last)], colour, "") for a, b in edges.reshape(-1, 2)]
 
 
-def _joined(spans: Sequence[LabelledSpan]) -> list[LabelledSpan]:
-    joined: list[LabelledSpan] = []
-    for span in spans:
-        if joined and joined[-1][2:] == span[2:]:
-            joined[-1] = (joined[-1][0], span[1], *span[2:])
-        else:
-            joined.append(span)
-    return joined
+def _states(rows: Rows, at_s: FloatArray, end_s: float) -> list[LabelledSpan]:
+    """Intervals in which a clock, of rows at times (n,), was in one state."""
+    spans: list[LabelledSpan] = []
+    for start, end, state in zip(at_s, np.append(at_s[1:], end_s), rows["state"], strict=True):
+        colour = STATE_COLOUR[ClockState(int(state))]
+        since = spans.pop()[0] if spans and spans[-1][2] == colour else start
+        spans.append((since, end, colour, ""))
+    return spans
 
 
 def shade(axes: Axes, flight: FlightData) -> None:
@@ -201,8 +197,7 @@ def sweeps(flight: FlightData) -> Figure | None:
     shown = [sweep for sweep in flight.sweeps if sweep.traces and sweep.moving]
     if not channels or not shown:
         return None
-    rows = -(-len(shown) // 2)
-    figure, every = subplots(rows, 2)
+    figure, every = subplots(-(-len(shown) // 2), 2)
     for axes, sweep in zip(every, shown, strict=False):
         _sweep(axes, flight, sweep, channels)
     for axes in every[len(shown) :]:
@@ -343,11 +338,7 @@ def _clock(pair: tuple[Axes, Axes], name: str, rows: Rows, at_s: FloatArray, dur
         rate.set_ylim(-reach, reach)
         rate.set_title(f"{name}: tick, about {last * 1e-3:.4f} µs")
     rate.set_ylabel("ppm")
-    states = [ClockState(int(state)) for state in rows["state"]]
-    ends = np.append(at_s[1:], duration_s)
-    for start_s, end_s, colour, _ in _joined(
-        [(a, b, STATE_COLOUR[s], "") for a, b, s in zip(at_s, ends, states, strict=True)]
-    ):
+    for start_s, end_s, colour, _ in _states(rows, at_s, duration_s):
         for axes in pair:
             axes.axvspan(start_s, end_s, ymin=0.0, ymax=0.03, color=colour, linewidth=0)
     for axes in pair:

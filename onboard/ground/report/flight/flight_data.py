@@ -19,6 +19,7 @@ from onboard.flight.estimate.problem.identification import KERNELS_PER_BLOCK, bu
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables import truth as true
 from onboard.ground.log.tables.phases import Phase, phases_of
+from onboard.ground.log.tables.progress import reporter
 from onboard.ground.log.tables.thin import Envelope, Thinned, Trace
 from onboard.ground.log.tables.vehicle_file import vehicle_of
 from onboard.ground.log.views.health import HealthSummary, is_health
@@ -99,16 +100,14 @@ def gather(path: Path, progress: Progress | None = None, vehicle: config.Vehicle
         OSError: it cannot be read.
     """
     log = LogReader(path)
-    task = None if progress is None else progress.add_task(f"read {path.name}", total=2 * log.size)
+    tell = reporter(progress, f"read {path.name}", 2 * log.size)
     about = info(log)
-    if progress is not None and task is not None:
-        progress.update(task, completed=log.size)
+    tell(log.size)
     flight = _begin(log, about, vehicle)
     reader = _Reader(flight, log)
     for batch in log.batches():
         reader.add(batch)
-        if progress is not None and task is not None:
-            progress.update(task, completed=log.size + log.position)
+        tell(log.size + log.position)
     reader.finish()
     return flight
 

@@ -78,12 +78,8 @@ def _sections(flight: FlightData, draw: Gallery) -> Iterator[tuple[str, str]]:
 def _head(flight: FlightData) -> str:
     about = flight.info
     when = about.metadata.get("flight", {}).get("wall_clock_ns")
-    facts = [
-        about.path.name,
-        f"{about.duration_s:.1f} s",
-        f"{about.rows:,} records",
-        f"{about.size_bytes / 1e6:.1f} MB",
-    ]
+    size = f"{about.size_bytes / 1e6:.1f} MB"
+    facts = [about.path.name, f"{about.duration_s:.1f} s", f"{about.rows:,} records", size]
     if when:
         facts.insert(1, f"{np.datetime64(int(when), 'ns').astype('datetime64[s]')} UTC")
     head = f"<h1>{escape(flight.name)}</h1>\n" + html.paragraph(" · ".join(facts), "sub")
@@ -181,9 +177,8 @@ def _timeline(flight: FlightData, draw: Gallery) -> str:
 
 def _imus(flight: FlightData, draw: Gallery) -> str:
     names = [name for name, trace in flight.traces.items() if trace.mean.shape[1] == 6]
-    frames = {
-        one.channels[0]: one.frame for one in (flight.roles.imus if flight.roles else ()) if len(one.channels) == 1
-    }
+    imus = flight.roles.imus if flight.roles else ()
+    frames = {one.channels[0]: one.frame for one in imus if len(one.channels) == 1}
     body = ""
     for name in names:
         rotation = None
@@ -234,18 +229,17 @@ def _torques(flight: FlightData, draw: Gallery) -> str:
 
 
 def _clocks(flight: FlightData, draw: Gallery) -> str:
+    if not flight.clocks:
+        return ""
     rows = []
     for name, said in sorted(flight.clocks.items()):
         last = said[-1]
         state = ClockState(int(last["state"]))
         kind = {ClockState.LOCKED: "good", ClockState.FLYWHEEL: "warn"}.get(state, "bad")
-        numbers = [
-            f"{last['period_ns'] * 1e-3:.4f}",
-            f"{last['sigma_ns'] * 1e-3:.1f}",
-            f"{last['residual_rms_ns'] * 1e-3:.1f}",
-        ]
-        counts = [f"{last['marks']:,}", f"{last['rejected']:,}"]
-        rows.append([name, Cell(state.name.lower(), kind), *map(Cell, numbers + counts)])
+        numbers = [f"{last['period_ns'] * 1e-3:.4f}"]
+        numbers += [f"{last[key] * 1e-3:.1f}" for key in ("sigma_ns", "residual_rms_ns")]
+        numbers += [f"{last['marks']:,}", f"{last['rejected']:,}"]
+        rows.append([name, Cell(state.name.lower(), kind), *map(Cell, numbers)])
     caption = (
         "Left: how far pulse marks lie from the fitted line, and what the fit says of itself. An IMU says in which "
         "sample a pulse fell, no more: its marks lie up to half a sample about the line, 0.29 of a sample rms, and the "
@@ -253,11 +247,7 @@ def _clocks(flight: FlightData, draw: Gallery) -> str:
         "value, with two sigma. The strip below: green locked, amber flywheel, red invalid."
     )
     table = html.table(["clock", "state", "tick µs", "sigma µs", "residual µs", "marks", "rejected"], rows)
-    return (
-        table + draw(figures.clocks(flight.clocks, flight.info.start_ns, flight.info.duration_s), caption)
-        if rows
-        else ""
-    )
+    return table + draw(figures.clocks(flight.clocks, flight.info.start_ns, flight.info.duration_s), caption)
 
 
 def _channels(flight: FlightData) -> str:
@@ -266,17 +256,8 @@ def _channels(flight: FlightData) -> str:
         rate = "" if channel.rate_hz is None else f"{channel.rate_hz:.2f}"
         lost = Cell(f"{channel.unexplained:,}", "n bad" if channel.unexplained else "n")
         counts = [Cell(f"{channel.missing:,}"), Cell(f"{'about ' if channel.about else ''}{channel.gaps:,}")]
-        rows.append(
-            [
-                channel.name,
-                channel.record,
-                Cell(f"{channel.rows:,}"),
-                Cell(rate),
-                *counts,
-                lost,
-                Cell(f"{channel.flagged:,}"),
-            ]
-        )
+        whole, flagged = Cell(f"{channel.rows:,}"), Cell(f"{channel.flagged:,}")
+        rows.append([channel.name, channel.record, whole, Cell(rate), *counts, lost, flagged])
     return html.table(["channel", "record", "rows", "Hz", "missing", "in gaps", "unexplained", "flagged"], rows)
 
 
@@ -295,9 +276,8 @@ def _events(flight: FlightData) -> str:
 
 
 def _provenance(flight: FlightData) -> str:
-    rows = [[name, key, value] for name, items in flight.info.metadata.items() for key, value in items.items()] + [
-        ["file", name, f"{size:,} bytes"] for name, size in flight.info.attachments.items()
-    ]
+    rows = [[name, key, value] for name, items in flight.info.metadata.items() for key, value in items.items()]
+    rows += [["file", name, f"{size:,} bytes"] for name, size in flight.info.attachments.items()]
     body = html.table(["", "", ""], rows)
     if flight.vehicle is not None:
         text = escape(flight.vehicle.text)

@@ -28,11 +28,8 @@ def by_sweep(flight: FlightData, draw: Gallery, truths: dict[str, float]) -> str
     if len(rows) > _ROWS_SHOWN:
         rows = []  # shown in the figure
     more = html.paragraph(f"By themselves these determine nothing: {', '.join(silent)}.") if silent else ""
-    return (
-        body
-        + html.table(["sweep", "quantity", "value", "95 % by the rows alone", "unit", "truth", "error %"], rows)
-        + more
-    )
+    headings = ["sweep", "quantity", "value", "95 % by the rows alone", "unit", "truth", "error %"]
+    return body + html.table(headings, rows) + more
 
 
 def _alone_row(sweep: str, one: Alone, truth: float | None) -> list[object]:
