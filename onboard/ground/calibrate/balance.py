@@ -8,15 +8,14 @@ from pydantic import Field
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import Balanced, balance
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.problem.model import build_model
+from onboard.flight.estimate.problem.model import build_model, drawn_body
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, still
-from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
 from onboard.section import Positive, Section, Vector3
 
 UNLOADED = 0.02  # of the largest reading: between two orientations the body is lifted off the cell
@@ -101,9 +100,8 @@ def _solved(
     place: Gravity,
 ) -> tuple[Balanced, float]:
     """With the places' error as a force: the weight over the lever of the cell, for a body that the hinge carries."""
-    lever = np.abs(
-        np.einsum("ka,ka->k", columns["hinge"], np.cross(columns["support_m"] - columns["pivot_m"], columns["push"]))
-    )
+    moment = np.cross(columns["support_m"] - columns["pivot_m"], columns["push"])
+    lever = np.abs(np.einsum("ka,ka->k", columns["hinge"], moment))
     gravity = -place.gravity_m_s2 * columns["up"]
     given = (gravity, columns["pivot_m"], columns["hinge"], columns["support_m"], columns["push"], force)
     read_N = float(np.sqrt(np.mean([spread[0] ** 2 for _, spread in means])))
@@ -147,9 +145,7 @@ def _result(
     vehicle: config.Vehicle, found: Balanced, scale_sigma: float, sigma_N: float, place: Gravity
 ) -> Calibration:
     link = vehicle.file.vehicle.base_link
-    model = build_model(vehicle)
-    at = 10 * model.links.index(link)
-    drawn = body_of(model.chi[at : at + 10])
+    drawn = drawn_body(build_model(vehicle), link)
     mass_sigma = float(np.hypot(np.sqrt(found.covariance[0, 0]), scale_sigma * found.mass_kg))
     centre_sigma = np.sqrt(np.diag(found.covariance)[1:])
     result = Calibration(
@@ -158,17 +154,12 @@ def _result(
     )
     result.add(f"centre of mass of {link}", found.centre_of_mass_m, centre_sigma, "m", drawn.centre_of_mass_m)
     table = ("link", link)
-    told = ", ".join(f"{one:.2g}" for one in centre_sigma)
-    result.changes.append(
-        KeyChange(table, "centre_of_mass_m", rounded(found.centre_of_mass_m, float(centre_sigma.min())), told)
-    )
+    result.changes.append(stated(table, "centre_of_mass_m", found.centre_of_mass_m, centre_sigma))
     prior, known = ("estimation", "prior", "link", link), vehicle.file.estimation.prior.link.get(link)
     if known is not None and known.mass_relative * drawn.mass_kg < mass_sigma:
         result.notes.append("the file knows the mass better than this: it stays; a scale weighs better than a balance")
     else:
-        result.changes.append(
-            KeyChange(table, "mass_kg", rounded(np.array(found.mass_kg), mass_sigma), f"{mass_sigma:.2g}")
-        )
+        result.changes.append(stated(table, "mass_kg", found.mass_kg, mass_sigma))
         if known is not None:
             result.changes.append(KeyChange(prior, "mass_relative", two_digits(mass_sigma / found.mass_kg)))
     if known is not None:

@@ -10,7 +10,6 @@ import numpy as np
 from onboard import config
 from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.inertia import elements
-from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.bifilar import (
     AxisErrors,
@@ -21,10 +20,10 @@ from onboard.estimation.calibration.bifilar import (
     swing,
 )
 from onboard.estimation.errors import CalibrationError
-from onboard.flight.estimate.problem.model import build_model
+from onboard.flight.estimate.problem.model import build_model, drawn_body
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import LogSpan, Readings, still
-from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
 
 SHORTEST_s = 12.0
 RATE_hz = 50.0
@@ -108,9 +107,7 @@ def _into(
     result: Calibration, vehicle: config.Vehicle, six: FloatArray, sigma: FloatArray, suspension: Suspension
 ) -> None:
     link = vehicle.file.vehicle.base_link
-    model = build_model(vehicle)
-    at = 10 * model.links.index(link)
-    drawn = body_of(model.chi[at : at + 10])
+    drawn = drawn_body(build_model(vehicle), link)
     before = elements(drawn.inertia_kg_m2)
     for name, value, one, was in zip(ELEMENTS, six, sigma, before, strict=True):
         result.found.append(CalibratedNumber(f"I {name} of {link}", float(value), float(one), "kg m^2", float(was)))
@@ -118,9 +115,8 @@ def _into(
         CalibratedNumber(f"mass of {link}", suspension.mass_kg, suspension.mass_sigma_kg, "kg", float(drawn.mass_kg))
     )
     table = ("link", link)
-    told = ", ".join(f"{one:.2g}" for one in sigma)
     result.changes.append(KeyChange(table, "mass_kg", suspension.mass_kg, f"{suspension.mass_sigma_kg:.2g}"))
-    result.changes.append(KeyChange(table, "inertia_kg_m2", rounded(six, float(sigma.min())), told))
+    result.changes.append(stated(table, "inertia_kg_m2", six, sigma))
     half_trace = 0.5 * float(six[0] + six[2] + six[5])
     relative = float(np.sqrt(np.mean(sigma**2))) / half_trace
     if link in vehicle.file.estimation.prior.link:
@@ -176,17 +172,11 @@ def _free(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     level = rate - np.median(rate)
     crossings = np.flatnonzero(np.signbit(level[1:]) != np.signbit(level[:-1]))
     large = 0.1 * float(np.abs(level).max())
-    crossings = np.array(
-        [
-            c
-            for a, c, b in zip([0, *crossings], crossings, [*crossings[1:], len(t) - 1], strict=False)
-            if np.abs(level[a : c + 1]).max() > large and np.abs(level[c : b + 1]).max() > large
-        ],
-        np.int64,
-    )
-    if len(crossings) < 8:
+    each = zip([0, *crossings], crossings, [*crossings[1:], len(t) - 1], strict=False)
+    kept = [c for a, c, b in each if min(np.abs(level[a : c + 1]).max(), np.abs(level[c : b + 1]).max()) > large]
+    if len(kept) < 8:
         return t, rate
-    part = slice(int(crossings[3]), int(crossings[-2]))
+    part = slice(int(kept[3]), int(kept[-2]))
     return t[part], rate[part]
 
 

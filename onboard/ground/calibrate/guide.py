@@ -47,17 +47,17 @@ def stops(angles_deg: Sequence[float]) -> list[GuideStep]:
     ]
 
 
-def swings(count: int = 6) -> list[GuideStep]:
+def swings() -> list[GuideStep]:
     """One axis after the other."""
     which = ("x", "y", "z", "between x and y", "between x and z", "between y and z")
     return [
         GuideStep(
-            f"swing {n + 1}",
-            f"Hang the body with an axis vertical that it has not had yet ({which[n % 6]}), turn it by some 25 "
+            f"swing {number}",
+            f"Hang the body with an axis vertical that it has not had yet ({axis}), turn it by some 25 "
             "deg, let it go without a push, and press Enter when it swings freely.",
             40.0,
         )
-        for n in range(count)
+        for number, axis in enumerate(which, 1)
     ]
 
 

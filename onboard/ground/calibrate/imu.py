@@ -15,7 +15,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.readings import LogSpan, Readings, still
-from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, stated, two_digits
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 _UPRIGHT = 0.97  # cosine: within 14 deg of a face
@@ -222,10 +222,10 @@ def _changes(device: str, accel: TriadCalibration, gyro: TriadCalibration, rest:
     bias, bias_gyro = float(accel.bias_sigma.mean()), float(rest.sigma_rad_s.mean())
     return [
         KeyChange(table, "accel_matrix", rounded(accel.matrix, min(scale[0], angle[0])), told[0]),
-        KeyChange(table, "accel_bias_m_s2", rounded(accel.bias, bias), f"{bias:.2g}"),
+        stated(table, "accel_bias_m_s2", accel.bias, bias),
         KeyChange(table, "accel_scale_sigma", two_digits(scale[0])),
         KeyChange(table, "gyro_matrix", rounded(gyro.matrix, min(scale[1], angle[1])), told[1]),
-        KeyChange(table, "gyro_bias_rad_s", rounded(rest.bias_rad_s, bias_gyro), f"{bias_gyro:.2g}"),
+        stated(table, "gyro_bias_rad_s", rest.bias_rad_s, bias_gyro),
         KeyChange(table, "gyro_scale_sigma", two_digits(scale[1])),
     ]
 

@@ -12,7 +12,7 @@ from onboard.estimation.calibration.linear import line
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, steps
-from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
 
 GAIN = 0.25  # a scale further off is a wrong unit or mass
 
@@ -68,7 +68,6 @@ def calibrate_load_cell(
     masses, g = np.array(hung.masses_kg), hung.place
     known = masses * g.gravity_m_s2
     known_sigma = np.where(masses > 0.0, hung.sigma_kg * g.gravity_m_s2, 0.0)
-    lever = hung.arm_m is not None
     found = line(known, reading, known_sigma, sigma)
     common = float(
         np.linalg.norm([found.slope_sigma / found.slope, g.sigma_m_s2 / g.gravity_m_s2, hung.combined_error])
@@ -77,7 +76,7 @@ def calibrate_load_cell(
     if len(masses) < 3:
         result.notes.append("two masses fit any line: a third would show an error")
     table = ("device", device)
-    if lever:
+    if hung.arm_m is not None:
         _lever(result, table, section, hung, found.slope, common)
     else:
         if abs(found.slope - 1.0) > GAIN:
@@ -86,11 +85,10 @@ def calibrate_load_cell(
             )
         gain_sigma = found.slope * common
         result.found.append(CalibratedNumber("gain", found.slope, gain_sigma, "N/N", section.gain))
-        result.changes.append(KeyChange(table, "gain", rounded(np.array(found.slope), gain_sigma), f"{gain_sigma:.2g}"))
+        result.changes.append(stated(table, "gain", found.slope, gain_sigma))
         result.changes.append(KeyChange(table, "scale_sigma", two_digits(common)))
     result.found.append(CalibratedNumber("offset", found.offset, found.offset_sigma, "N", section.offset_N))
-    value = rounded(np.array(found.offset), found.offset_sigma)
-    result.changes.append(KeyChange(table, "offset_N", value, f"{found.offset_sigma:.2g}"))
+    result.changes.append(stated(table, "offset_N", found.offset, found.offset_sigma))
     return result
 
 
@@ -110,7 +108,7 @@ def _lever(
         )
     result.found.append(CalibratedNumber("lever", lever, sigma, "m", section.lever_m))
     result.changes += [
-        KeyChange(table, "lever_m", rounded(np.array(lever), sigma), f"{sigma:.2g}"),
+        stated(table, "lever_m", lever, sigma),
         KeyChange(table, "lever_sigma_m", two_digits(sigma)),
         KeyChange(table, "scale_sigma", 0.0, "in lever_sigma_m"),
         KeyChange(table, "gain", 1.0, "in lever_m"),

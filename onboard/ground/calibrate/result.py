@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.table import Table
+from rich.table import Column, Table
 
 from onboard.estimation.arrays import FloatArray
 
@@ -70,6 +70,13 @@ def rounded(values: FloatArray, sigma: float) -> Any:
     return np.round(values, digits(sigma) + 1).tolist()
 
 
+def stated(table: tuple[str, ...], key: str, value: Any, sigma: Any) -> KeyChange:
+    """A key with the 1 sigma of its value behind it, or with those of its parts."""
+    sigmas = np.atleast_1d(sigma)
+    shown = ", ".join(f"{one:.2g}" for one in sigmas)
+    return KeyChange(table, key, rounded(np.asarray(value), float(sigmas.min())), shown)
+
+
 def two_digits(sigma: float) -> float:
     """A sigma to two significant digits."""
     return float(f"{sigma:.2g}")
@@ -77,11 +84,8 @@ def two_digits(sigma: float) -> float:
 
 def render(calibration: Calibration, title: str) -> Table:
     """What was found, as a table."""
-    table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("")
-    for heading in ("value", "1 sigma", "in the file"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
+    numbers = (Column(heading, justify="right") for heading in ("value", "1 sigma", "in the file"))
+    table = Table("", *numbers, "unit", box=SIMPLE_HEAD, title=title, title_justify="left")
     for name, value, sigma, unit, before in calibration.found:
         places = digits(sigma)
         was = "" if before is None else f"{before:.{places}f}"

@@ -13,12 +13,11 @@ from pydantic import Field
 from scipy.stats import chi2
 
 from onboard import config
-from onboard.dynamics.model.payload import body_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import REFUSE, of_each
-from onboard.flight.estimate.problem.model import build_model
-from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, two_digits
+from onboard.flight.estimate.problem.model import build_model, drawn_body
+from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
 
 _SQUARE = 0.5  # sine of the angle between an edge and up, at the least
@@ -95,8 +94,7 @@ def balance_part(vehicle: config.Vehicle, link: str, held: PartRig) -> Calibrati
     model = build_model(vehicle)
     if link not in model.links:
         raise config.ConfigError(f"{vehicle.label}: no link {link!r} with inertia; it has {', '.join(model.links)}")
-    at = 10 * model.links.index(link)
-    drawn = body_of(model.chi[at : at + 10])
+    drawn = drawn_body(model, link)
     table, known = _stated(vehicle, link)
     rows = [*_edges(held), *_scales(held)]
     centre, covariance = _solved(rows, drawn.centre_of_mass_m, None if known is None else known.centre_m)
@@ -104,8 +102,7 @@ def balance_part(vehicle: config.Vehicle, link: str, held: PartRig) -> Calibrati
     result = Calibration(notes=[row.text for row in rows])
     _mass(result, held, link, float(drawn.mass_kg), known, table)
     result.add(f"centre of mass of {link}", centre, sigma, "m", drawn.centre_of_mass_m)
-    told = ", ".join(f"{one:.2g}" for one in sigma)
-    result.changes.append(KeyChange(("link", link), "centre_of_mass_m", rounded(centre, float(sigma.min())), told))
+    result.changes.append(stated(("link", link), "centre_of_mass_m", centre, sigma))
     if known is None or table is None:
         result.notes.append(
             f"no key of {vehicle.label} takes the sigma of {link}'s centre: state [estimation.prior.link]"
@@ -242,6 +239,6 @@ def _mass(
     if known is not None and known.mass_relative * drawn_kg < sigma:
         result.notes.append("the file knows the mass better than these scales: it stays")
         return
-    result.changes.append(KeyChange(("link", link), "mass_kg", rounded(np.array(mass), sigma), f"{sigma:.2g}"))
+    result.changes.append(stated(("link", link), "mass_kg", mass, sigma))
     if table is not None:
         result.changes.append(KeyChange(table, "mass_relative", two_digits(sigma / mass)))

@@ -47,13 +47,18 @@ def _measured(model: VehicleModel, link: str, own: LinkSection) -> RigidBody:
     """A link by what was measured of it, and by the URDF."""
     if link not in model.links:
         raise UrdfError(f"[link.{link}]: links with inertia are {', '.join(model.links)}")
-    at = 10 * model.links.index(link)
-    mass_kg, centre_m, inertia = body_of(model.chi[at : at + 10])
+    mass_kg, centre_m, inertia = drawn_body(model, link)
     return RigidBody(
         mass_kg if own.mass_kg is None else own.mass_kg,
         centre_m if own.centre_of_mass_m is None else np.array(own.centre_of_mass_m),
         inertia if own.inertia_kg_m2 is None else symmetric(np.array(own.inertia_kg_m2)),
     )
+
+
+def drawn_body(model: VehicleModel, link: str) -> RigidBody:
+    """A link of a model, in its own axes."""
+    at = 10 * model.links.index(link)
+    return body_of(model.chi[at : at + 10])
 
 
 def samples_per_tick(vehicle: config.Vehicle) -> int:

@@ -58,9 +58,8 @@ def change(poses: Poses, prior: wrist_model.Priors, whole: wrist.PoseFit) -> Bod
     chance = parts[0].covariance[:4, :4] + parts[1].covariance[:4, :4]
     size = np.maximum(*(np.abs([value[0], *[np.linalg.norm(value[1:])] * 3]) for value in values))
     nats = _log(values[1] - values[0], chance + np.diag(size**2)) - _log(values[1] - values[0], chance)
-    return (
-        BodyChange(at, float(values[0][0]), float(values[1][0]), nats) if nats > -np.log(ODDS / len(instants)) else None
-    )
+    found = BodyChange(at, float(values[0][0]), float(values[1][0]), nats)
+    return found if nats > -np.log(ODDS / len(instants)) else None
 
 
 def _left(poses: Poses, prior: wrist_model.Priors, part: slice) -> FloatArray:

@@ -43,12 +43,11 @@ _ORIENTATION = (
     ("up", r"(?:.*acc(?:el(?:eration|erometer)?)?|.*grav(?:ity)?|(?:.*imu)?a|g)([xyz])$", "xyz"),
 )
 _LISTED = (
-    *(
-        ("(?:forces?|f)", "f"),
-        ("(?:torques?|moments?|m|t|tau)", "m"),
-        ("(?:rotvec|rotationvector|axisangle)", "rotvec"),
-    ),
-    *(("(?:rpy|euler|eulerangles)", "rpy"), ("(?:orientation|ori|rot(?:ation)?)", "r")),
+    ("(?:forces?|f)", "f"),
+    ("(?:torques?|moments?|m|t|tau)", "m"),
+    ("(?:rotvec|rotationvector|axisangle)", "rotvec"),
+    ("(?:rpy|euler|eulerangles)", "rpy"),
+    ("(?:orientation|ori|rot(?:ation)?)", "r"),
 )
 _COMPENSATED = re.compile(r"(?i)(?<![a-eg-z])ext(?![a-z])|tcp_?force")  # F_ext of Franka, actual_TCP_force of a UR
 _NUMBERED = (  # parts of one name, numbered from 0 or 1, as a UR's RTDE writes them
@@ -183,16 +182,14 @@ def _said_kind(table: WeighTable, kind: str, said: str) -> str:
     if not said:
         return kind
     quaternions = said in ("xyzw", "wxyz")
+    of_matrix = said == "matrix"
     fits = {
-        **{
-            "quaternion": quaternions,
-            "quaternion?": quaternions,
-            "matrix": said == "matrix",
-            "joints": False,
-            "up": False,
-        }
-    }.get(kind, not quaternions and said != "matrix")
-    if not fits:
+        **dict.fromkeys(("quaternion", "quaternion?"), quaternions),
+        "matrix": of_matrix,
+        "joints": False,
+        "up": False,
+    }
+    if not fits.get(kind, not quaternions and not of_matrix):
         raise PosesError(f"{table.label}: --orientation {said}, but its columns are {kind.rstrip('?')}: leave it out")
     if kind in ("quaternion", "matrix"):
         return kind

@@ -172,10 +172,11 @@ def _others(answer: Answer) -> str:
 def _odd(answer: Answer) -> list[int]:
     """The axis whose scale alone is not as stated, or the likeliest of which one is; none where that is unlikely."""
     alone = answer.weighing.wider(FARTHEST_SIZE)[1]
+    if alone.sum() <= LIKELIER:
+        return []
     order = np.argsort(-alone)
-    return (
-        order[: int(np.searchsorted(np.cumsum(alone[order]), LIKELIER)) + 1].tolist() if alone.sum() > LIKELIER else []
-    )
+    likeliest: list[int] = order[: int(np.searchsorted(np.cumsum(alone[order]), LIKELIER)) + 1].tolist()
+    return likeliest
 
 
 def _lean(answer: Answer) -> str:

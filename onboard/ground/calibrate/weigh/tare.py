@@ -4,7 +4,7 @@ import numpy as np
 
 from onboard import config
 from onboard.devices.roles import LoadCellKeys
-from onboard.ground.calibrate.result import KeyChange, rounded
+from onboard.ground.calibrate.result import KeyChange, rounded, stated
 from onboard.ground.calibrate.weigh.errors import PosesError
 from onboard.ground.calibrate.weigh.weigh import Answer
 
@@ -30,7 +30,7 @@ def changes(vehicle: config.Vehicle, answer: Answer) -> list[KeyChange]:
         which, unit = (1, section.lever_m) if section.measures == "moment" else (0, 1.0)
         value, own = reaction * float(axis @ zero[which]), float(np.sqrt(axis**2 @ sigma[which] ** 2))
         value, own = value * section.gain / unit, own * section.gain / unit
-        found.append(KeyChange(("device", name), "offset_N", rounded(np.array(value), own), f"{own:.2g}"))
+        found.append(stated(("device", name), "offset_N", value, own))
     if not found:
         raise PosesError(f"{vehicle.label} has no load cell whose zero could be written; leave --vehicle out")
     return found

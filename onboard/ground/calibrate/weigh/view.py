@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.estimation.policy import HALF
@@ -48,12 +48,8 @@ def render(answer: Answer, judged: Judged, more: tuple[Pose, ...], title: str) -
 
 
 def _quantities(answer: Answer, judged: Judged, title: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("")
-    for heading in ("value", "from (95 %)", "to"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
-    table.add_column("level")
+    numbers = (Column(heading, justify="right") for heading in ("value", "from (95 %)", "to"))
+    table = Table("", *numbers, "unit", "level", box=SIMPLE_HEAD, title=title, title_justify="left")
     for one in answer.quantities:
         unit, factor = _SHOWN[one.unit]
         level = judged.standings[one.name].level if one.name in judged.standings else ""
@@ -67,11 +63,9 @@ def _quantities(answer: Answer, judged: Judged, title: str) -> Table:
 
 
 def _axes(answer: Answer) -> Table:
-    table = Table(box=SIMPLE_HEAD, title="each axis", title_justify="left")
-    table.add_column("")
-    for heading in ("mass by\nit, kg", "zero\nfitted", "zero at\nthe end", "1 sigma", "zero\nmoved", "noise"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
+    headings = ("mass by\nit, kg", "zero\nfitted", "zero at\nthe end", "1 sigma", "zero\nmoved", "noise")
+    columns = (Column(heading, justify="right") for heading in headings)
+    table = Table("", *columns, "unit", box=SIMPLE_HEAD, title="each axis", title_justify="left")
     for one in answer.axes:
         masses = [f"{one.alone_kg:.4g}", f"{one.mass_kg:.4g}"] if np.isfinite(one.alone_kg) else ["", ""]
         places = digits(one.zero_sigma)
@@ -83,12 +77,7 @@ def _axes(answer: Answer) -> Table:
 def as_json(answer: Answer, judged: Judged, more: tuple[Pose, ...]) -> dict[str, Any]:
     """For programs, SI units."""
     return {
-        "verdict": {
-            "level": judged.verdict.level,
-            "reasons": judged.verdict.reasons,
-            "weak": judged.verdict.weak,
-            "text": judged.verdict.text,
-        },
+        "verdict": {key: getattr(judged.verdict, key) for key in ("level", "reasons", "weak", "text")},
         "quantities": [_quantity(one, judged) for one in answer.quantities],
         "axes": [one._asdict() for one in answer.axes],
         "plain_least_squares": {"mass_kg": answer.plain[0], "sigma_kg": answer.plain[1], "axes": alone(answer)},

@@ -307,18 +307,10 @@ def _axes(
             gradient[27 + 3 * k : 30 + 3 * k] = hat(one.state.first_moment)[:, k] / wrist_model.REACH_m
             own = float(np.sqrt(gradient @ one.covariance @ gradient))
             mass = float(one.state.sensitivity[k, k]), own
-        yield SensorAxis(
-            name,
-            *alone,
-            *mass,
-            float(one.noise.sigma[k]),
-            float(value[-1, k]),
-            float(sigma[k]),
-            float(value[-1, k] - value[0, k]),
-            float(moved[k]),
-            float(one.state.scales[k] / known.scale),
-            _frozen(poses.wrench[:, k], made[:, k]),
-        )
+        zero = float(value[-1, k]), float(sigma[k])
+        change = float(value[-1, k] - value[0, k]), float(moved[k])
+        scale, frozen = float(one.state.scales[k] / known.scale), _frozen(poses.wrench[:, k], made[:, k])
+        yield SensorAxis(name, *alone, *mass, float(one.noise.sigma[k]), *zero, *change, scale, frozen)
 
 
 def _plain(poses: Poses, prior: Priors, one: wrist.PoseFit, axes: tuple[int, ...]) -> tuple[float, float]:
