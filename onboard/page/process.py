@@ -12,13 +12,16 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from onboard.flight.supervise.companion import beside, ready, settle
 from onboard.page import address as addresses
 from onboard.page.acts import ACTS, Acts
 from onboard.page.follow import Followed, packed
 from onboard.page.web import Source, Web
+
+if TYPE_CHECKING:  # the downlink takes memory
+    from onboard.page.received import Received
 
 _HALF = NormalDist().inv_cdf(0.975)
 FRAME_S = 0.25
@@ -51,24 +54,6 @@ class _Given(NamedTuple):
     acts: list[str]
     plan: str | None
     urdf: str | None
-
-
-class LiveSource(Source, Protocol):
-    """A flight that goes on."""
-
-    ended: bool
-
-    def look(self) -> None:
-        """Take in what is new."""
-
-    def check_ended(self) -> bool:
-        """Whether it is over."""
-
-    def frame_now(self, now_ns: int, *, ended: bool = False) -> dict[str, Any]:
-        """What is shown."""
-
-    def close(self) -> None:
-        """End what was opened."""
 
 
 @contextlib.contextmanager
@@ -126,7 +111,7 @@ async def serve(
     """Serve ``source`` until SIGTERM, or until the flight that it follows has ended.
 
     Args:
-        source: a :class:`LiveSource` flight, or a log.
+        source: a flight that goes on, or a log.
         address: to bind to.
         tell: is called with the page's address.
         plan: whose expected intervals are shown.
@@ -148,14 +133,14 @@ async def serve(
     tell(addresses.url(address, web.port, token))
     try:
         if source.live:
-            await _follow(cast(LiveSource, source), web, over)
+            await _follow(cast("Followed | Received", source), web, over)
         else:
             await over.wait()
     finally:
         await web.close()
 
 
-async def _follow(followed: LiveSource, web: Web, over: asyncio.Event) -> None:
+async def _follow(followed: "Followed | Received", web: Web, over: asyncio.Event) -> None:
     """Frames at a steady rate while there are viewers, and a last one."""
     loop = asyncio.get_running_loop()
     looks = 0

@@ -10,7 +10,7 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from drivers.transports.serial_port import open_port
@@ -63,22 +63,6 @@ def parse(text: str) -> Address:
     raise LinkError(f"{text}: give {FORMS}")
 
 
-class Sink(Protocol):
-    """Takes packets."""
-
-    def ready(self) -> bool:
-        """Whether it takes a packet now; hands on what it kept."""
-
-    def send(self, packet: bytes) -> None:
-        """Take a packet; only when ready."""
-
-    def receive(self) -> tuple[bytes, str]:
-        """Bytes that came from the other end since the last call, and where from."""
-
-    def close(self) -> None:
-        """End."""
-
-
 class _Bytes:
     """A file or tty: what is written in part goes on with the rest. From a file nothing comes."""
 
@@ -86,6 +70,7 @@ class _Bytes:
         self._descriptor, self._owner, self._rest, self._origin = descriptor, owner, b"", origin
 
     def ready(self) -> bool:
+        """Whether it takes a packet now; hands on what it kept."""
         while self._rest:
             try:
                 written = os.write(self._descriptor, self._rest)
@@ -95,10 +80,12 @@ class _Bytes:
         return True
 
     def send(self, packet: bytes) -> None:
+        """Take a packet; only when ready."""
         self._rest = packet
         self.ready()
 
     def receive(self) -> tuple[bytes, str]:
+        """Bytes that came from the other end since the last call, and where from."""
         try:
             return (os.read(self._descriptor, _DATAGRAM) if self._origin else b""), self._origin
         except BlockingIOError:
@@ -137,6 +124,9 @@ class _Datagrams:
 
     def close(self) -> None:
         self._socket.close()
+
+
+Sink = _Bytes | _Datagrams  # takes packets
 
 
 def sink(address: Address) -> Sink:
