@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.records import Batch
 from onboard import config
-from onboard.config.driving import Range, joint_ranges
+from onboard.config.driving import joint_ranges
 from onboard.control import watch
 from onboard.control.drives import Drives, identified
 from onboard.control.laws import ComputedTorque, FeedForward, Gains, Law, SyncedMotion, feed_forward, free_inertia
@@ -24,7 +24,7 @@ from onboard.devices.base import JointDevice
 from onboard.devices.driven import DrivenDevice
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.mechanics.joint_space import JointSpace
-from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.arrays import FloatArray
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.trials import PERIOD_MS, ArmOnBus, FlownTrial, Trials, Wire
@@ -105,10 +105,8 @@ class TrialSeries:
     @property
     def gain(self) -> float | None:
         """How many times smaller the error of the tip is once the payload is adopted; None where it was not."""
-        before, after = (
-            self.of(TrialSetup.BEFORE),
-            [trial for trial in self.of(TrialSetup.AFTER) if not trial.flown.stopped],
-        )
+        before = self.of(TrialSetup.BEFORE)
+        after = [trial for trial in self.of(TrialSetup.AFTER) if not trial.flown.stopped]
         return before[0].tip_rms_m / after[0].tip_rms_m if before and after else None
 
     @property
@@ -296,8 +294,7 @@ def _controlled(
     for _ in range(asked.trials):
         if not pilot.fly(TrialSetup.LEARNING, FeedForward(torques, gains), space, reference):
             return
-        why = watch.diverges(made.errors)
-        if why:
+        if why := watch.diverges(made.errors):
             made.stopped = why
             return
         torques = learning.next(torques, first, made.trials[-1].flown.error, PERIOD_S)
@@ -309,7 +306,7 @@ def joint_space(model: VehicleModel, model_error: float = 0.0) -> JointSpace:
     Raises:
         ValueError: a prescribed base.
     """
-    spec: VehicleSpec = model.spec
+    spec = model.spec
     if spec.base.moves and not spec.base.follows:
         raise ValueError("the base moves as prescribed, whatever the arm does: computed torque does not know how")
     tip = spec.payload_link if spec.payload_link is not None else model.links[-1]
@@ -322,18 +319,11 @@ def joint_limits(vehicle: config.Vehicle, model: VehicleModel) -> JointLimits:
     Raises:
         ValueError: a joint that slides, or has no range, speed or effort.
     """
-    ranges: dict[str, Range] = joint_ranges(vehicle.urdf_text)
-    rows = []
+    ranges, rows = joint_ranges(vehicle.urdf_text), []
     for joint in model.joints:
-        at = joint.v_index
-        found = ranges.get(joint.name)
-        effort = float(model.model.effortLimit[at])
-        if (
-            found is None
-            or not joint.revolute
-            or not np.isfinite([*found, effort]).all()
-            or min(found.rate, effort) <= 0
-        ):
+        found, effort = ranges.get(joint.name), float(model.model.effortLimit[joint.v_index])
+        bounded = found is not None and np.isfinite([*found, effort]).all() and min(found.rate, effort) > 0.0
+        if found is None or not bounded or not joint.revolute:
             raise ValueError(
                 f"joint {joint.name!r}: it has to be revolute, with lower, upper, velocity and effort in <limit>"
             )

@@ -42,10 +42,8 @@ class TrialsLog:
         row, of = np.zeros(1, TRIAL), flown.flown
         row["host_ns"], row["number"], row["missed"] = self._now_ns(), flown.number, of.missed
         row["joints_rms_rad"], row["tip_rms_m"], row["saturated"] = of.rms_rad, flown.tip_rms_m, of.saturated
-        row["stage"], row["stopped"] = (
-            flown.stage.name.lower().encode(),
-            of.stopped.encode()[: TRIAL["stopped"].itemsize],
-        )
+        row["stage"] = flown.stage.name.lower().encode()
+        row["stopped"] = of.stopped.encode()[: TRIAL["stopped"].itemsize]
         self._write("trial", self._numbered("trial", row))
 
     def _numbered(self, channel: str, rows: Rows) -> Rows:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.ground.before.control.run import COMPUTED, Trial, TrialSeries, TrialSetup
@@ -20,11 +20,11 @@ def render(made: TrialSeries) -> RenderableType:
     """The trials as a table, and what is to be said of them."""
     wrong = f", model {100.0 * made.model_error:+.0f} %" if made.model_error else ""
     noisy = f", encoder noise {1e3 * made.noise_rad:g} mrad" if made.noise_rad else ""
-    table = Table(title=f"{made.vehicle}: {made.controller}{wrong}{noisy}", title_justify="left", box=SIMPLE_HEAD)
-    table.pad_edge = False
-    table.add_column("trial", no_wrap=True)
-    for heading in ("joints rms, mrad", "largest, mrad", "tip rms, mm", "largest, mm"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = ("joints rms, mrad", "largest, mrad", "tip rms, mm", "largest, mm")
+    numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
+    title = f"{made.vehicle}: {made.controller}{wrong}{noisy}"
+    columns = Column("trial", no_wrap=True), *numbers
+    table = Table(*columns, title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for trial in made.trials:
         table.add_row(f"{trial.number} {trial.stage}", *_numbers(trial))
     lines = [_drives(made), *map(Text, findings_of(made))]
@@ -33,13 +33,12 @@ def render(made: TrialSeries) -> RenderableType:
     return Group(table, *lines)
 
 
-def _numbers(trial: Trial) -> tuple[str, str, str, str]:
+def _numbers(trial: Trial) -> tuple[str, ...]:
     if not len(trial.flown.error):
         return ("—",) * 4
     largest = float(np.abs(trial.flown.error).max())
     values = trial.flown.rms_rad, largest, trial.tip_rms_m, float(trial.tip_m.max())
-    one, two, three, four = (f"{1e3 * value:.3f}" for value in values)
-    return one, two, three, four
+    return tuple(f"{1e3 * value:.3f}" for value in values)
 
 
 def _drives(made: TrialSeries) -> Text:

@@ -4,7 +4,7 @@ from math import isfinite
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.estimation.policy import HALF
@@ -25,11 +25,10 @@ def render(found: Contingency, motion: str) -> RenderableType:
     head = [Text(f"without {', '.join(found.lost)}, by {motion}"), *(Text(f"  {words}") for words in found.words)]
     if found.left is None:
         return Group(*head, Text(f"nothing can be determined: {found.why}", "red"))
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for heading in ("assumed", "95 %, with all", "95 %, without", "wider by"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("without", no_wrap=True)
+    name, without = (Column(heading, no_wrap=True) for heading in ("", "without"))
+    headings = ("assumed", "95 %, with all", "95 %, without", "wider by")
+    numbers = (Column(heading, justify="right", no_wrap=True) for heading in headings)
+    table = Table(name, *numbers, without, box=SIMPLE_HEAD, pad_edge=False)
     reasons: dict[str, list[str]] = {}
     for whole, left in found.pairs():
         unit = f", {whole.unit}" if whole.unit else ""

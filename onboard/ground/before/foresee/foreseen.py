@@ -4,7 +4,7 @@ from math import isfinite
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.estimation.policy import HALF
@@ -26,11 +26,8 @@ def render(found: Foreseen, motion: str) -> RenderableType:
         return Text("nothing is held in this motion: there is nothing to determine")
     held = "" if found.payload is None else f", a payload of {1e3 * found.payload.mass_kg:.0f} g assumed"
     title = f"expected of {motion}{held}"
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for heading in ("assumed", "95 % interval", "of it, %"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    numbers = (Column(one, justify="right", no_wrap=True) for one in ("assumed", "95 % interval", "of it, %"))
+    table = Table(Column(no_wrap=True), *numbers, Column(no_wrap=True), box=SIMPLE_HEAD, pad_edge=False)
     for one in found.quantities:
         unit, factor = _UNITS.get(one.unit, (one.unit, 1.0))
         half = HALF * one.sigma

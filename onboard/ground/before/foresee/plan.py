@@ -49,6 +49,12 @@ class MotionPlan(NamedTuple):
         kept = {name: getattr(self, name)[ticks] for name in ("time_s", "q", "dq", "ddq", "phase", "held")}
         return self._replace(**kept, bases=bases)
 
+    def moved(self, ticks: slice, motion: FloatArray) -> "MotionPlan":
+        """With other angles, rates and accelerations, (3, m, joints), at some of the ticks."""
+        signals = np.stack([self.q, self.dq, self.ddq])
+        signals[:, ticks] = motion
+        return self._replace(q=signals[0], dq=signals[1], ddq=signals[2])
+
     def few(self, vehicle: config.Vehicle) -> slice:
         """Ticks that tell as much as all where nothing is drawn: all change as slowly as the smoothed motion."""
         apart_s = min(vehicle.file.estimation.smoothing_ms * 1e-3 / _IN_KERNEL, _APART_S)
@@ -86,19 +92,9 @@ def plan_of(vehicle: config.Vehicle, planned: Any) -> MotionPlan:
     if planned.payload is not None:
         shape = RigidBody(planned.payload.mass_kg, planned.payload.centre_of_mass_m, planned.payload.inertia_kg_m2)
         payload = _payload(model, shape, drawn_shape=planned.drawn_shape)
-    return MotionPlan(
-        planned.time_s,
-        planned.q[:, order],
-        planned.dq[:, order],
-        planned.ddq[:, order],
-        planned.phase,
-        planned.held,
-        tuple(BaseMotion(*base) for base in planned.bases),
-        planned.rate_rad_s,
-        planned.velocity_m_s,
-        payload,
-        planned.drag,
-    )
+    q, dq, ddq = (signal[:, order] for signal in (planned.q, planned.dq, planned.ddq))
+    bases, start = tuple(BaseMotion(*base) for base in planned.bases), (planned.rate_rad_s, planned.velocity_m_s)
+    return MotionPlan(planned.time_s, q, dq, ddq, planned.phase, planned.held, bases, *start, payload, planned.drag)
 
 
 class Expected(NamedTuple):

@@ -98,11 +98,10 @@ def _foresee(
     at |= body_values(model, plan.payload)
     quantities = expected(found.quantities, at, [one.sigma for one in found.quantities], useful_of(vehicle))
     hidden = set(vehicle.file.estimation.nuisance)
+    each = zip(found.names, beta.tolist(), found.sigma.tolist(), found.supported.tolist(), strict=True)
     parameters = [
         Expected(name, "", value, sigma, Level.GOOD if fine else Level.WEAK, "" if fine else UNDETERMINED)
-        for name, value, sigma, fine in zip(
-            found.names, beta.tolist(), found.sigma.tolist(), found.supported.tolist(), strict=True
-        )
+        for name, value, sigma, fine in each
         if name not in hidden
     ]
     used = excluded == 0

@@ -100,6 +100,9 @@ repeats = true                 # a wheel at rest
 
 
 def _rest(wanted: NewBed) -> str:
+    proof = (
+        "\nproof_sigma = 0.002            # relative, of the proof mass times its lever: yours" if wanted.proof else ""
+    )
     return f"""
 [estimation]
 method = "exiddm"              # predicts the IMU from what the wheels do
@@ -120,12 +123,7 @@ accelerometer_misalignment_rad = 8.7e-3
 delay_s = 1e-4
 position_m = 3e-3
 
-[pivot]{
-        ""
-        if not wanted.proof
-        else '''
-proof_sigma = 0.002            # relative, of the proof mass times its lever: yours'''
-    }
+[pivot]{proof}
 
 # [[pivot.balance]]            # each mass that can be moved: how far it is to go is answered as move_NAME
 # name = "trim_x"

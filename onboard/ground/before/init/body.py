@@ -9,6 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 from onboard import config
 from onboard.config.keys import schema
+from onboard.ground.before.init import devices
 from onboard.ground.before.init.drawing import DrawnUrdf, with_frame
 from onboard.ground.before.init.sketch import mount
 from onboard.ground.before.init.vehicle import write_files
@@ -109,17 +110,7 @@ method = "exiddm"              # predicts the tracked pose
 
 
 def _mapping(wanted: NewBody) -> str:
-    text = f"""# Which column of a recording is what: put your column names in. Every key: docs/import.md.
-# heft import import.toml RECORDING.csv -o logs; heft identify --vehicle vehicle.toml logs/RECORDING.mcap
-
-[mapping]
-name = {json.dumps(wanted.name)}
-format = "csv"                 # or "npz"
-
-[time]
-column = "t"                   # yours
-unit = "s"
-"""
+    text = devices.mapping(wanted.name, [])
     pose = (("pose_x", "x", "1e-6", "m"), ("pose_y", "y", "1e-6", "m"), ("pose_yaw", "yaw", "1e-7", "rad"))
     for channel, column, scale, unit in (*pose, *((name, name, "1e-4", "1") for name in wanted.thrusters)):
         text += f"""

@@ -192,19 +192,10 @@ def analyse(name: str, arm: FloatingArm, tip: str, q: FloatArray) -> Mechanics:
         SignalError: joint positions of another shape.
     """
     D, D_q, _ = arm.reduced_inertia(q)
-    mechanics = Mechanics(
-        name,
-        tip,
-        q,
-        tuple(joint.name for joint in arm.vehicle.joints),
-        arm.mass_kg,
-        arm.centre_of_mass(q),
-        D,
-        arm.generalized_jacobian(q),
-        arm.tip_jacobian(q)[:, 6:],
-        workspace.least_singular_value(arm, q),
-        np.asarray(-np.linalg.solve(D, D_q), np.float64),
-    )
+    joints = tuple(joint.name for joint in arm.vehicle.joints)
+    of_tip = arm.generalized_jacobian(q), arm.tip_jacobian(q)[:, 6:], workspace.least_singular_value(arm, q)
+    of_base = np.asarray(-np.linalg.solve(D, D_q), np.float64)
+    mechanics = Mechanics(name, tip, q, joints, arm.mass_kg, arm.centre_of_mass(q), D, *of_tip, of_base)
     try:
         chain = chain_of(arm)
     except ValueError:  # a tree: the tables that need a chain stay out

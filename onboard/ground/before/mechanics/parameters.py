@@ -93,13 +93,9 @@ def render(found: Parameters) -> RenderableType:
 
 
 def _counts(counts: tuple[Counted, ...]) -> Table:
-    table = Table(
-        *("base", "rows", "closed form", "numerical"),
-        box=None,
-        pad_edge=False,
-        title="base parameters of this arm by kind of base, payload held",
-        title_justify="left",
-    )
+    title = "base parameters of this arm by kind of base, payload held"
+    headings = ("base", "rows", "closed form", "numerical")
+    table = Table(*headings, box=None, pad_edge=False, title=title, title_justify="left")
     for one in counts:
         closed = "-" if one.closed_form is None else f"{one.closed_form.parameters} = {one.closed_form.formula}"
         table.add_row(str(one.base), one.rows, closed, str(one.numerical))

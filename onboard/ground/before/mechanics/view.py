@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 from scipy.spatial.transform import Rotation
 
@@ -46,10 +46,9 @@ def _vector(values: np.ndarray) -> str:
 
 
 def _joints(found: Mechanics) -> Table:
-    table = Table(box=None, pad_edge=False, title="a joint by itself", title_justify="left")
-    table.add_column("joint")
-    for heading in ("tip, base floats, m/rad", "tip, base fixed, m/rad", "base turns, rad/rad"):
-        table.add_column(heading, justify="right")
+    headings = ("tip, base floats, m/rad", "tip, base fixed, m/rad", "base turns, rad/rad")
+    numbers = (Column(heading, justify="right") for heading in headings)
+    table = Table("joint", *numbers, box=None, pad_edge=False, title="a joint by itself", title_justify="left")
     for k, name in enumerate(found.joints):
         parts = found.generalized_jacobian[:3, k], found.fixed_jacobian[:3, k], found.base_per_joint[:, k]
         table.add_row(name, *(" ".join(f"{x:+.3f}" for x in part) for part in parts))
@@ -58,9 +57,8 @@ def _joints(found: Mechanics) -> Table:
 
 def _virtual_links(found: Mechanics) -> Table:
     assert found.virtual_links_m is not None
-    table = Table(box=None, pad_edge=False, title="virtual manipulator", title_justify="left")
-    table.add_column("body")
-    table.add_column("virtual link in its axes, m", justify="right")
+    axes = Column("virtual link in its axes, m", justify="right")
+    table = Table("body", axes, box=None, pad_edge=False, title="virtual manipulator", title_justify="left")
     for body, link in zip(("base", *(f"beyond {name}" for name in found.joints)), found.virtual_links_m, strict=True):
         table.add_row(body, " ".join(f"{x:+.4f}" for x in link))
     return table

@@ -5,7 +5,6 @@ covariance at the motion's start as prior, so that what biases, misalignment, li
 Of other bases :func:`onboard.ground.before.foresee.foresee.foresee` gives each quantity's sigma by itself.
 """
 
-from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -36,34 +35,12 @@ class MotionBound(NamedTuple):
     base: BaseMotion  # at the motion's ticks
 
 
-class Bound(ABC):
-    """Bound of a motion that goes into a plan.
+class FreeBound:
+    """Bound of a motion that goes into a plan, for a free-flyer.
 
     Attributes:
         names: of the quantities, in the order of the covariance.
         scales: sizes against which each is judged, (k,), in its unit.
-    """
-
-    names: tuple[str, ...]
-    scales: FloatArray
-
-    @abstractmethod
-    def base(self, moved: FloatArray, period_s: float) -> BaseMotion:
-        """The base's motion at other ticks of the motion."""
-
-    @abstractmethod
-    def of(self, moved: FloatArray) -> MotionBound:
-        """For angle, rate and acceleration at the motion's ticks, (3, n, joints)."""
-
-    @abstractmethod
-    def along(self, moved: FloatArray) -> tuple[IndexArray, FloatArray]:
-        """Ticks, (m,), and sigmas of the quantities when the motion ended there, (m, k)."""
-
-
-class FreeBound(Bound):
-    """For a free-flyer.
-
-    Attributes:
         unknowns: names of the p unknowns of the estimator.
         prior_sigma: of these before the flight, (p,).
 
@@ -94,20 +71,20 @@ class FreeBound(Bound):
         self.prior_sigma[PAYLOAD] = before.identifier.ekf.payload_sigma
 
     def of(self, moved: FloatArray) -> MotionBound:
-        """See the base class."""
+        """For angle, rate and acceleration at the motion's ticks, (3, n, joints)."""
         flat = self.whitened(moved)
         information = self._prior + flat.T @ flat
         return MotionBound(self._body(information), self.base(moved, self._predictor.period_s))
 
     def along(self, moved: FloatArray) -> tuple[IndexArray, FloatArray]:
-        """See the base class."""
+        """Ticks, (m,), and sigmas of the quantities when the motion ended there, (m, k)."""
         rows, at = self._rows(moved), np.unique(np.linspace(0, len(moved[0]) - 2, 60).astype(np.intp))
         sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
         covariances = [self._body(self._prior + (sums[k - 1] if k else 0.0)) for k in at.tolist()]
         return at, np.sqrt(np.stack([np.diag(covariance) for covariance in covariances]))
 
     def base(self, moved: FloatArray, period_s: float) -> BaseMotion:
-        """See the base class."""
+        """The base's motion at other ticks of the motion."""
         return _floating(self._model, moved, period_s, self._chi, self._before.state[RATE])
 
     def whitened(self, moved: FloatArray) -> FloatArray:
@@ -134,7 +111,7 @@ class FreeBound(Bound):
         return body_covariance(self._payload, covariance)
 
 
-class RowsBound(Bound):
+class RowsBound:
     """For every other vehicle: a whole bound for each motion.
 
     Args:
@@ -158,40 +135,37 @@ class RowsBound(Bound):
         )
 
     def of(self, moved: FloatArray) -> MotionBound:
-        """See the base class."""
+        """See :class:`FreeBound`."""
         sigma = self._sigma(moved, self._ticks.stop)
         return MotionBound(np.diag(sigma**2), self.base(moved, 1.0 / TICK_HZ))
 
     def along(self, moved: FloatArray) -> tuple[IndexArray, FloatArray]:
-        """See the base class."""
+        """See :class:`FreeBound`."""
         n = self._ticks.stop - self._ticks.start
         at = np.unique(np.linspace(n // 8, n, 8).astype(np.intp))
         return at, np.stack([self._sigma(moved, self._ticks.start + k) for k in at.tolist()])
 
     def base(self, moved: FloatArray, period_s: float) -> BaseMotion:
-        """See the base class."""
+        """See :class:`FreeBound`."""
         n, plan = moved.shape[1], self._plan
         if plan.bases:  # prescribed: between the coarse ticks a straight line
             coarse = plan.time_s[self._ticks]
             time_s = coarse[0] + period_s * np.arange(n)
-            return BaseMotion(
-                *(
-                    np.stack([np.interp(time_s, coarse, x[self._ticks, k]) for k in range(3)], axis=1)
-                    for x in plan.bases[0]
-                )
-            )
+            signals = (signal[self._ticks] for signal in plan.bases[0])
+            lines = (np.stack([np.interp(time_s, coarse, axis) for axis in x.T], axis=1) for x in signals)
+            return BaseMotion(*lines)
         if not self._model.spec.base.moves:
             return standing(self._model, n)
         return _floating(self._model, moved, period_s, self._chi, plan.rate_rad_s)
 
     def _sigma(self, moved: FloatArray, end: int) -> FloatArray:
         """Of the quantities when the flight ended at a tick."""
-        signals = [signal.copy() for signal in (self._plan.q, self._plan.dq, self._plan.ddq)]
-        for signal, values in zip(signals, moved, strict=True):
-            signal[self._ticks] = values
-        plan = self._plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
-        foreseen = foresee(self._vehicle, plan.part(slice(0, end)), coarse=True)
+        plan = self._plan.moved(self._ticks, moved).part(slice(0, end))
+        foreseen = foresee(self._vehicle, plan, coarse=True)
         return np.array([answer.sigma for answer in foreseen.answers])
+
+
+Bound = FreeBound | RowsBound
 
 
 def body_scales(payload: RigidBody) -> FloatArray:

@@ -154,10 +154,11 @@ class MotionLimits:
         with np.errstate(invalid="ignore"):
             columns = [np.abs(dq) / self.rate - 1.0, np.abs(ddq) / self.acceleration - 1.0]
             columns.append(np.abs(self._torque(q, dq, ddq, base)) / self.effort - 1.0)
-        for value, limit in zip((base.rate_rad_s, None), self._base, strict=True):
-            if limit is not None:
-                found = _turned(base.rate_rad_s, period_s) if value is None else np.linalg.norm(value, axis=1)
-                columns.append(found[:, None] / limit - 1.0)
+        rate, turn = self._base
+        if rate is not None:
+            columns.append(np.linalg.norm(base.rate_rad_s, axis=1, keepdims=True) / rate - 1.0)
+        if turn is not None:
+            columns.append(_turned(base.rate_rad_s, period_s)[:, None] / turn - 1.0)
         if self._pairs:
             columns.append(self._closeness(q))
         return np.concatenate(columns, axis=1)
@@ -184,13 +185,13 @@ class MotionLimits:
             except UnknownFrameError as error:
                 raise config.ConfigError(f"sphere: {error}") from error
             at = np.asarray(frame.placement.act(np.array(sphere.at_m)), np.float64)
-            places.append((sphere, _Place(int(frame.parentJoint), at, sphere.radius_m)))
+            places.append(_Place(int(frame.parentJoint), at, sphere.radius_m))
         parents = model.model.parents
-        pairs = []
-        for (_, a), (_, b) in combinations(places, 2):
-            if a.body != b.body and parents[a.body] != b.body and parents[b.body] != a.body:
-                pairs.append((a, b))
-        return pairs
+        return [
+            (a, b)
+            for a, b in combinations(places, 2)
+            if a.body != b.body and parents[a.body] != b.body and parents[b.body] != a.body
+        ]
 
     def _closeness(self, q: FloatArray) -> FloatArray:
         """Of each pair, (n, pairs): 0 where the spheres touch, 1 where their centres meet."""

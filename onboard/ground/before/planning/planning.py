@@ -321,10 +321,7 @@ def _with(plan: MotionPlan, splines: Splines, coefficients: FloatArray, wanted: 
     """A plan with the motion in its place."""
     ticks = ticks_of(plan, wanted.start_s, wanted.end_s)
     moved = splines.move(splines.basis(plan.time_s[ticks] - wanted.start_s), coefficients)
-    signals = [signal.copy() for signal in (plan.q, plan.dq, plan.ddq)]
-    for signal, own in zip(signals, moved, strict=True):
-        signal[ticks] = own
-    return plan._replace(q=signals[0], dq=signals[1], ddq=signals[2])
+    return plan.moved(ticks, moved)
 
 
 def chosen_of(names: tuple[str, ...], asked: tuple[str, ...]) -> tuple[int, ...]:

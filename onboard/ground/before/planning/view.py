@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import NullFormatter
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from onboard.config.segments import Library
@@ -37,14 +37,11 @@ def render(made: PlannedMotion | Library) -> RenderableType:
 
 def _segments(made: Library) -> RenderableType:
     """The segments, with what they make of the base and their nearest limit at the lightest and heaviest payload."""
-    heads = (f"{made.masses[0]:.3g} kg", f"{made.masses[-1]:.3g} kg")
-    table = Table(
-        box=None, pad_edge=False, title="largest rate of the base, rad/s, and the nearest limit", title_justify="left"
-    )
-    table.add_column("segment", no_wrap=True)
-    for head in heads:
-        table.add_column(head, justify="right")
-        table.add_column("", no_wrap=True)
+    columns = [Column("segment", no_wrap=True)]
+    for mass in (made.masses[0], made.masses[-1]):
+        columns += [Column(f"{mass:.3g} kg", justify="right"), Column(no_wrap=True)]
+    title = "largest rate of the base, rad/s, and the nearest limit"
+    table = Table(*columns, box=None, pad_edge=False, title=title, title_justify="left")
     for k, name in enumerate(made.names):
         cells = []
         for m in (0, -1):
