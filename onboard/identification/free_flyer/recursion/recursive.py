@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.policy import HALF
 from onboard.identification.change import Change
@@ -217,7 +217,8 @@ class MotionFilter(Windowed):
         step, correction = self.rivals.step(*self.known) if self.held else None, self.correction
         with np.errstate(over="ignore", invalid="ignore"):
             about, predicted, values = self._linearised.predict(ticks, self.state)
-            of_joints, of_samples = self._joint_noises(ticks)
+            sigmas = self.predictor.rippled(ticks, self.rivals.freed_at), ticks.sample_sigma  # all there is; of samples
+            of_joints, of_samples = self.predictor.joint_noises(ticks.q, self.state, *sigmas)
         self.covariance = self._linearised.known(self.covariance)
         noise = LineNoise.of(ticks.sigma, of_joints).part(slice(1, -1))
         batch = TickBatch(predicted, ticks.measured[1:-1], noise, ticks.time_s[1:-1], correction)
@@ -278,12 +279,6 @@ class MotionFilter(Windowed):
         self._stepped = None if stepped.over else stepped
         return False
 
-    def _joint_noises(self, ticks: Ticks) -> list[FloatArray]:
-        """Of all there is, and of samples alone."""
-        assert self.state is not None
-        of_joints = self.predictor.rippled(ticks, self.rivals.freed_at), ticks.sample_sigma
-        return self.predictor.joint_noises(ticks.q, self.state, *of_joints)
-
     def _compare(self) -> None:
         """Begin a window without an instrument that contradicts the others over some time, if nothing else is wrong."""
         known = self.known
@@ -336,9 +331,7 @@ class MotionFilter(Windowed):
 
     def _jumped(self, joint: str, jump: EncoderJump) -> None:
         self._begin_anew()
-        of, first = self.rivals.jumped(JumpedJoint(self.predictor, joint, jump)), self._prior[0] is self.initial[0]
-        self.initial = of(self.initial)
-        self._prior = self.initial if first else of(self._prior)
+        self._free_before(self.rivals.jumped(JumpedJoint(self.predictor, joint, jump)))
 
     def _begin_anew(self) -> None:
         """Begin a window with what is known now."""

@@ -1,10 +1,11 @@
-"""What a recursive estimate consists of, and where a window of it begins: see :mod:`.recursive`."""
+"""What a recursive estimate consists of, the payload in it, and where a window of it begins: see :mod:`.recursive`."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.dynamics.model.payload import BodyEstimate, body_estimate
+from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
 from onboard.identification.change import Change
 from onboard.identification.evidence.bodies import changes
@@ -13,10 +14,12 @@ from onboard.identification.free_flyer.fusion import Accusation, Fusion
 from onboard.identification.free_flyer.innovation import Innovations
 from onboard.identification.free_flyer.misfit import InnovationMisfit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
-from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection, correction_of
+from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
+from onboard.identification.free_flyer.recursion.bounded_work import BoundedWork
 from onboard.identification.free_flyer.recursion.claims import Claim, at_first
-from onboard.identification.free_flyer.recursion.holding import Holding
 from onboard.identification.free_flyer.recursion.linearised import Linearised
 from onboard.identification.free_flyer.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.free_flyer.recursion.rounds import WindowRounds
@@ -30,7 +33,7 @@ from onboard.identification.free_flyer.suspects import Rivals
 WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 
 
-class Windowed(Holding):
+class Windowed(BoundedWork):
     """What a recursive estimate of a payload consists of, and its windows: what is known before one, and its solve.
 
     Args:
@@ -43,6 +46,11 @@ class Windowed(Holding):
             decides whether it is still held, or nothing or another one, regardless of ``held``.
 
     Attributes:
+        state: mean, (p,), of the parameters that ``predictor`` names; None while nothing is known.
+        covariance: (p, p).
+        noise_added: what noise of the joints' samples has added since the start, to the payload since the last change:
+            see :mod:`~onboard.identification.free_flyer.prediction.noise_in_gradient`.
+        held: a payload is held; None while that is not decided.
         ticks_used: with an IMU, taken in since the start or the last change.
         glitches: number of ticks left out as outliers.
         changes: changes detected or announced so far: each detected one as ``change``, again when it is classified.
@@ -67,8 +75,14 @@ class Windowed(Holding):
         known: Known | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
-        super().__init__(predictor, call_ticks)
-        self.payload_sigma = np.asarray(payload_sigma, np.float64)
+        super().__init__(call_ticks, predictor.period_s, predictor.no_ticks, flexible=predictor.bends.size > 0)
+        self.predictor, self.payload_sigma = predictor, np.asarray(payload_sigma, np.float64)
+        self.state: FloatArray | None = None
+        self.covariance = np.zeros((len(predictor.names), len(predictor.names)))
+        self.noise_added = self._noise_before = NoiseAdded.none(len(predictor.names))
+        # by state, covariance and noise
+        self._correction: tuple[FloatArray, FloatArray, NoiseAdded, NoiseCorrection] | None = None
+        self._known: tuple[NoiseCorrection, Known] | None = None  # by correction
         self.held = self._before = held if known is None else None
         self._suspected: Change | None = None  # not yet classified
         self._claim, self._none = Claim(), predictor.no_ticks
@@ -85,16 +99,53 @@ class Windowed(Holding):
         self._open(at_first(held, known is not None), self.initial)
 
     @property
+    def holds(self) -> bool:
+        """A payload is held and its state known, and no release of it is announced, be it taken in or not."""
+        return self.state is not None and bool(self.held) and not self.lets_go
+
+    def estimate(self) -> BodyEstimate | None:
+        """The payload in its link's frame; None if none is held or it is still unknown (its mass not positive)."""
+        if not self.holds or self.state is None or not self.state[PAYLOAD][0] > 0.0:
+            return None
+        (mean, covariance), doubt = self.known, self.correction.sigma[PAYLOAD]
+        return body_estimate(mean[PAYLOAD], covariance[PAYLOAD, PAYLOAD] + np.outer(doubt, doubt))
+
+    @property
     def known(self) -> Known:
-        """As of :class:`.Holding`."""
+        """Mean, (p,), and covariance, (p, p), without what noise of the joints has done; the same for the same."""
         assert self.state is not None
-        known = super().known
+        known = self.state, self.covariance
+        if self.noise_added.information.size or self.noise_added.gradient.any():
+            of, by = self._known, self.correction
+            if of is None or of[0] is not by:
+                of = self._known = by, (self.state + by.shift, self.covariance + by.root @ by.root.T)
+            known = of[1]
         self.rivals.corrected(known[0], (self.state, self.covariance))
         return known
 
+    def _noise_of(
+        self, ticks: Ticks, noise: FloatArray, lines: LineNoise, use: BoolArray, at: tuple[FloatArray, TickPrediction]
+    ) -> NoiseAdded:
+        """Take in what noise of the joints adds in a batch, of lines in use, (b, m), predicted at a state; that."""
+        if self.state is not None and ticks.sample_sigma.any():
+            first = round(float(ticks.time_s[0]) / self.predictor.period_s)
+            added = noise_added(self.predictor, ticks, lines, use, self.state, first, noise, at=at)
+            self.noise_added = self.noise_added.plus(added.moved(-self.predictor.lasting * self.state))
+            return added
+        return NoiseAdded.none(len(self.predictor.names))
+
     @property
-    def _released(self) -> FloatArray | None:
-        return self.rivals.released(self.rivals.freed)
+    def correction(self) -> NoiseCorrection:
+        """Of the state, for noise of the joints."""
+        assert self.state is not None
+        of = self._correction
+        if of is None or of[0] is not self.state or of[1] is not self.covariance or of[2] is not self.noise_added:
+            raw = self.state, self.covariance
+            here = self.noise_added.moved(self.predictor.lasting * self.state)
+            released = self.rivals.released(self.rivals.freed)
+            made = correction_of(raw, here, self.predictor.constant, released)
+            of = self._correction = *raw, self.noise_added, made
+        return of[3]
 
     def _posed(self, ticks: Ticks, trial: WindowProblem) -> WindowSolve:
         without = [*self.fusion.left_out, *trial.without]

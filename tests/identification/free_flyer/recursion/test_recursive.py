@@ -12,7 +12,7 @@ from onboard.identification.free_flyer.free_base import free_fit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
-from onboard.identification.free_flyer.recursion import holding
+from onboard.identification.free_flyer.recursion import windowed
 from onboard.identification.free_flyer.recursion.solved import HeldPayload
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from tests.dynamics.free_flyer_twin import BOX
@@ -258,7 +258,7 @@ def test_what_noise_has_added_is_that_at_the_estimate_as_it_is_now(held, monkeyp
     batches = [NoiseAdded(rng.normal(size=p), A @ A.T, 3.0, 10) for A in rng.normal(size=(3, p, 2))]
     states, last = rng.normal(size=(3, p)), rng.normal(size=p)
     left = iter(batches)
-    monkeypatch.setattr(holding, "noise_added", lambda *_, **__: next(left))
+    monkeypatch.setattr(windowed, "noise_added", lambda *_, **__: next(left))
     ticks = ticks._replace(sample_sigma=np.ones_like(ticks.sample_sigma))
     for one, ekf.state in zip(batches, states, strict=True):
         assert ekf._noise_of(ticks, *[None] * 4) is one
