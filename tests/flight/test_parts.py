@@ -16,6 +16,7 @@ from onboard.config.methods import METHODS
 from onboard.estimation.gates import GateReason
 from onboard.flight.acquire.publisher import Publisher, joined
 from onboard.flight.estimate.phases import PhaseTrack
+from onboard.flight.estimate.readings.at_ticks import side_by_side
 from onboard.flight.estimate.readings.history import History
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother
@@ -233,7 +234,7 @@ def test_the_parts_of_an_imu_stand_side_by_side(tmp_path: Path) -> None:
     for place, name in enumerate(names):
         rows = scalar_rows(100 * (place + 1), 0.01, b"rad/s" if "gyro" in name else b"m/s^2")
         signals.append({name: rows if place else rows[rows["tick"] < 300_000_000]})
-    smoothed = signals.together(names, recorded(*names), np.array([150, 350]) * 1_000_000, 1)
+    smoothed = side_by_side(signals.each(names, recorded(*names), np.array([150, 350]) * 1_000_000, 1))
     assert smoothed.derivatives[0][0] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     assert smoothed.sigma[1].shape == (2, 6)
     assert smoothed.refused.tolist() == [0, GateReason.GAP]

@@ -22,6 +22,7 @@ from onboard.flight.estimate.answers import Answers, change_event, innovation_ro
 from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.phases import PhaseTrack
 from onboard.flight.estimate.problem.identification import build_online, channels_of, with_hypotheses
+from onboard.flight.estimate.readings.at_ticks import side_by_side
 from onboard.flight.estimate.readings.joint_signals import JointSignals
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import SignalSmoother, kernel_of
@@ -257,20 +258,20 @@ class Estimator:
 
     def _base(self, now_ns: int, at_ns: NDArray[np.int64]) -> tuple[_Base, list[Batch]]:
         """The base's motion by its IMU, zeroed where it is due; without one it stands."""
-        n, made = len(at_ns), list[Batch]()
         if self._imu is None:
+            n = len(at_ns)
             motion, still = standing(self.model, n), np.zeros((n, 3))
             none = np.zeros(n, np.int64), np.zeros((n, 9))
-            return _Base(motion, motion.specific_force_m_s2, (still, still, still), *none), made
-        imu = self._signals.together(self._imu.channels, self._timebase, at_ns, 1)
+            return _Base(motion, motion.specific_force_m_s2, (still, still, still), *none), []
+        imu = side_by_side(self._signals.each(self._imu.channels, self._timebase, at_ns, 1))
         values, rates = imu.derivatives
         rest = self._phases.at(at_ns), imu.refused == 0, self._temperatures.at(at_ns)
         specific_force = self._zeroing.apply(values[:, 3:], *rest)
-        made += self._zeroing.news(now_ns, self._imu.channels[0])
+        said = self._zeroing.news(now_ns, self._imu.channels[0])
         motion = base_motion(self.model, self._imu.frame, values[:, :3], rates[:, :3], specific_force)
         sigma = imu.sigma[0][:, :3], imu.sigma[1][:, :3], imu.sigma[0][:, 3:]
         share = np.hstack([imu.of_samples[0][:, :3], imu.of_samples[1][:, :3], imu.of_samples[0][:, 3:]])
-        return _Base(motion, specific_force, sigma, imu.refused, share), made
+        return _Base(motion, specific_force, sigma, imu.refused, share), said
 
     def _measured(
         self, at_ns: NDArray[np.int64], dq: FloatArray, friction: FloatArray | None

@@ -47,7 +47,5 @@ class SampleScatter:
 
     def power(self, names: Sequence[str]) -> FloatArray:
         """Of the noise of channels, over what is stated, (c,)."""
-        return np.array([self._power(name) if name in self._squares else 1.0 for name in names])
-
-    def _power(self, name: str) -> float:
-        return min(self._squares[name] / self._count[name], self._most[name])
+        own = {name: min(squares / self._count[name], self._most[name]) for name, squares in self._squares.items()}
+        return np.array([own.get(name, 1.0) for name in names])

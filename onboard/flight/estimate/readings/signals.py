@@ -4,7 +4,7 @@ Samples are stored with their device ticks; their times are computed from the ti
 clock solution shifts all samples of a window consistently.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,12 +152,6 @@ class SignalSmoother:
         self._attitudes[name] = last.copy()
         return values
 
-    def together(
-        self, names: Sequence[str], timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int
-    ) -> ChannelAtTicks:
-        """Several channels at the same ticks, their columns side by side; a tick that one refuses is refused."""
-        return side_by_side(self.each(names, timebase, at_ns, derivatives))
-
     def at(self, name: str, timebase: Timebase, at_ns: NDArray[np.int64], derivatives: int) -> ChannelAtTicks:
         """Channel ``name`` and its first ``derivatives`` derivatives at vehicle times ``at_ns`` (n,), evenly spaced."""
         [smoothed] = self.each([name], timebase, at_ns, derivatives)
@@ -280,7 +274,7 @@ class SignalSmoother:
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])
             refused, column = gaps, part.stop
-            for reason in _reasons_in(recent.wrong):
+            for reason in GateReason(int(np.bitwise_or.reduce(recent.wrong))):
                 held = window_contains(recent.times_s, recent.wrong & int(reason) != 0, at_s, self.width_s)
                 refused = refused | reasons(held, reason)
             signal = tuple(out[:, :, part]), tuple(sigma[:, :, part])
@@ -345,12 +339,6 @@ def _contiguous(which: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
     at = np.flatnonzero(which)
     together = slice(int(at[0]), int(at[-1]) + 1)
     return together if together.stop - together.start == len(at) else which
-
-
-def _reasons_in(wrong: NDArray[np.int64]) -> Iterable[GateReason]:
-    """Those that any of some samples has."""
-    every = int(np.bitwise_or.reduce(wrong))
-    return GateReason(every) if every else ()
 
 
 def _rate_of_change(values: FloatArray, at_s: FloatArray) -> FloatArray:

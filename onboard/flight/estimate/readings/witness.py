@@ -21,50 +21,6 @@ _SIGMAS = sigmas(READING)
 _MOVING = 2.0 / _LEAST  # times the noise: motion in a block that is judged
 
 
-class _Slope:
-    """Slope of one signal on another, block by block; what it leaves over contradicts too.
-
-    Attributes:
-        slope: of the last block that was judged.
-    """
-
-    def __init__(self) -> None:
-        self._pending: list[tuple[FloatArray, FloatArray]] = []
-        self._noise = 0.0
-        self._bad = 0
-        self.slope = np.nan
-
-    def add(self, first: FloatArray, second: FloatArray, noise: float, allowed: float, ticks: int) -> bool:
-        """Add ticks, (n, k) each; True when so many blocks in a row contradict a slope of one.
-
-        Args:
-            first: the one that is predicted.
-            second: the one that predicts it.
-            noise: sigma of ``second``.
-            allowed: of the slope, from one.
-            ticks: in a block.
-        """
-        whole = np.isfinite(np.hstack([first, second])).all(axis=1)
-        self._pending.append((first[whole], second[whole]))
-        self._noise = max(self._noise, noise)
-        if sum(len(part) for part, _ in self._pending) < ticks:
-            return False
-        x, y = (np.concatenate(side) for side in zip(*self._pending, strict=True))
-        self._pending = []
-        return self._judge(x - x.mean(axis=0), y - y.mean(axis=0), allowed)
-
-    def _judge(self, first: FloatArray, second: FloatArray, allowed: float) -> bool:
-        moved = float((second * second).sum())
-        if moved < (_MOVING * self._noise) ** 2 * len(second) or self._noise == 0.0:
-            return False
-        self.slope = float((first * second).sum()) / moved
-        left = float(np.sqrt(((first - self.slope * second) ** 2).sum() / moved))  # over the motion
-        spread = left / np.sqrt(len(second) - 1.0)  # standard error of the slope
-        bad = abs(self.slope - 1.0) > allowed + _SIGMAS * spread or left > allowed + _LEAST
-        self._bad = self._bad + 1 if bad else 0
-        return self._bad >= _CONTRADICTIONS
-
-
 class RateWitness:
     """Compares the rates of two IMUs on the base.
 
@@ -77,22 +33,36 @@ class RateWitness:
     def __init__(self, model: VehicleModel, imus: tuple[ImuRole, ImuRole], scale_sigma: float) -> None:
         self._imus = imus
         self._axes = tuple(model.pose_in_base(imu.frame)[0] for imu in imus)
-        self._allowed = max(_LEAST, _SIGMAS * np.sqrt(2.0) * scale_sigma)
-        self._slope = _Slope()
+        self._allowed = max(_LEAST, _SIGMAS * np.sqrt(2.0) * scale_sigma)  # of the slope, from one
+        self._pending: list[FloatArray] = []  # rates of both beside each other, (n, 6), of the present block
+        self._noise, self._bad = 0.0, 0  # largest sigma of a rate; blocks in a row that contradict
         self.contradiction = ""
 
     def check(self, signals: SignalSmoother, timebase: Timebase, at_ns: NDArray[np.int64], period_ns: int) -> bool:
         """Look at new ticks; True when they begin to contradict each other."""
         if self.contradiction:
             return False
-        rates, noise = [], 0.0
+        rates = []
         for imu, axes in zip(self._imus, self._axes, strict=True):
             means = signals.means(imu.channels, timebase, at_ns, period_ns)
             rates.append(means.derivatives[0][:, :3] @ axes.T)
-            noise = max(noise, float(np.nan_to_num(means.sigma[0][:, :3]).max(initial=0.0)))
-        if not self._slope.add(rates[0], rates[1], noise, self._allowed, round(_BLOCK_S * 1e9 / period_ns)):
+            self._noise = max(self._noise, float(np.nan_to_num(means.sigma[0][:, :3]).max(initial=0.0)))
+        both = np.hstack(rates)
+        self._pending.append(both[np.isfinite(both).all(axis=1)])
+        if sum(map(len, self._pending)) < round(_BLOCK_S * 1e9 / period_ns):
+            return False
+        block, self._pending = np.concatenate(self._pending), []
+        first, second = np.hsplit(block - block.mean(axis=0), 2)
+        moved = float((second * second).sum())
+        if moved < (_MOVING * self._noise) ** 2 * len(second) or self._noise == 0.0:
+            return False
+        slope = float((first * second).sum()) / moved
+        left = float(np.sqrt(((first - slope * second) ** 2).sum() / moved))  # over the motion: it contradicts, too
+        spread = left / np.sqrt(len(second) - 1.0)  # standard error of the slope
+        bad = abs(slope - 1.0) > self._allowed + _SIGMAS * spread or left > self._allowed + _LEAST
+        self._bad = self._bad + 1 if bad else 0
+        if self._bad < _CONTRADICTIONS:
             return False
         used, other = (imu.channels[0] for imu in self._imus)
-        share = f"{used} turns by {self._slope.slope:.0%} of {other}"
-        self.contradiction = f"{used} and {other} contradict each other: {share}"
+        self.contradiction = f"{used} and {other} contradict each other: {used} turns by {slope:.0%} of {other}"
         return True
