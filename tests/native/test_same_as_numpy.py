@@ -16,6 +16,7 @@ from onboard.identification.evidence.bank import Bank, Changed, Suspect
 from onboard.identification.free_flyer.prediction.further import PlacedImu, cuts_of
 from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading, whitened
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
+from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.native import build, library
 from onboard.native.errors import ArrayError
@@ -169,10 +170,10 @@ def test_noise_of_the_joints(seed, free):
     parts = JointErrors(vehicle), imus, cuts, predictor.lines, list(free)
     noise = JointNoise(vehicle, *parts)
     each = noise.by_joint(q, vehicle.chi, *sigma)
-    for found, together, one in zip(each, noise.of(q, vehicle.chi, *sigma), sigma, strict=True):
+    for found, one in zip(each, sigma, strict=True):
         same(found, expected := of_noise.of(vehicle, *parts, q, vehicle.chi, one), SOLVED)
-        same(together**2, (expected**2).sum(axis=1), SOLVED)
-    assert not noise.of(q, vehicle.chi, 0.0 * sigma[0])[0].any()
+        same(sigma_of(found) ** 2, (expected**2).sum(axis=1), SOLVED)
+    assert not noise.by_joint(q, vehicle.chi, 0.0 * sigma[0])[0].any()
 
 
 @pytest.mark.parametrize("seed", range(6))

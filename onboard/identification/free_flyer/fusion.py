@@ -64,10 +64,9 @@ class Fusion:
         self.left_out: list[int] = []
         self._imus = [k for k, own in enumerate(lines) if own.stop - own.start == lines[0].stop]
         self.trackers = [k for k, own in enumerate(lines) if own.stop - own.start == LINES]
-        self.refused: Accusation | None = None
         self._began_s, self.running_s = np.nan, 0.0
-        self._accusing = 0  # batches in a row
-        self._refused, self._agreed = [0] * len(self.names), [0] * len(self.names)
+        self._agreed = [0] * len(self.names)
+        self.forget()
         self.absent: set[int] = set()
         self._missing = 0  # batches in a row without the reference
         self._barred: set[int] = set()  # never used again
@@ -117,7 +116,8 @@ class Fusion:
 
     def forget(self) -> None:
         """Clear the windows after a reset of the filter."""
-        self.refused, self._refused, self._accusing = None, [0] * len(self.names), 0
+        self.refused: Accusation | None = None
+        self._refused, self._accusing = [0] * len(self.names), 0  # batches in a row
 
     def standing(self, accused: Accusation | None) -> Accusation | None:
         """An accusation that has been made in every batch for long enough; count a batch, None: nothing is accused."""

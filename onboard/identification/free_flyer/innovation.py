@@ -98,14 +98,12 @@ class Innovations:
         self._fusion, self._predictor, self._lines, self._rivals = fusion, predictor, predictor.lines, rivals
         self._steps = rivals.steps
         self.told: deque[ReferenceErrors] = deque(maxlen=_MOST_TOLD)
-        further = list(enumerate(predictor.further, 1))
-        own = predictor.of_further
-        each_alone = (predictor.of_each[0], *own)  # held against one by one
+        each_alone = (predictor.of_each[0], *predictor.of_further)  # held against one by one
         self._alone = [np.setdiff1d(each, rivals.at) for each in each_alone]
         self._farthest = refused_from(sum(len(each) for each in self._alone))
         self._friction = {  # of torques: what it is multiplied by cannot be negative
             k: [at for at in predictor.of_each[k] if predictor.names[at].startswith(OF_FRICTION)]
-            for k, one in further
+            for k, one in enumerate(predictor.further, 1)
             if isinstance(one, FurtherCell) and one.friction is not None
         }
 

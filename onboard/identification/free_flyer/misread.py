@@ -9,7 +9,6 @@ Of pairs, those compete in which a joint or a unit takes part: two axes of the I
 import re
 from collections.abc import Iterator, Sequence
 from itertools import permutations, product
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +31,6 @@ _UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero
 _FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut off, and each tells six lines anew
 _MOST_SAID = 3
 _NOISE_SEED = 1
-_SCORE = attrgetter("score")
 _G_m_s2 = 9.80665
 _AXES = tuple(
     np.array(signs)[:, None] * np.eye(3)[list(order)]
@@ -122,10 +120,6 @@ class _Recording:
         self._by_noise = np.zeros(2)  # of the stated ones: forces, moments
         self._by_noise = self.by_noise(FlightReading.stated(len(vehicle.joints)))
 
-    def weighed(self, way: FlightReading) -> _Weighed:
-        """With what it leaves, roughly."""
-        return _Weighed(self.left(way), way)
-
     def left(self, way: FlightReading, rounds: int = 1) -> float:
         """What no payload explains of the wrench that the known links make, as a share of its squares; of 2.
 
@@ -139,7 +133,9 @@ class _Recording:
             if at:
                 of_zero = _of_zero(links.frames, chi)
             moved = base._replace(specific_force=base.specific_force - zero)
-            Y, y = self._rows(links, moved)
+            # as :func:`onboard.regressor.free_rows.zero_wrench_rows`, by the motion of the links
+            Y = wrench_columns(links.payload, moved.rate, moved.specific_force, moved.acceleration)
+            y = self._known_wrench(links, moved)
             size = _sizes(y, of_zero)
             if not min(size) > 0.0:
                 return np.inf
@@ -166,11 +162,6 @@ class _Recording:
         size = _sizes(y, -links.of_zero)
         over = (noisy - y) ** 2
         return np.array([over[:, :3].sum(), over[:, 3:].sum()]) / np.where(size > 0.0, size, np.inf)
-
-    def _rows(self, links: _Links, base: BaseSignals) -> tuple[FloatArray, FloatArray]:
-        """As :func:`onboard.regressor.free_rows.zero_wrench_rows`, by the motion of the links."""
-        Y = wrench_columns(links.payload, base.rate, base.specific_force, base.acceleration)
-        return Y, self._known_wrench(links, base)
 
     def _known_wrench(self, links: _Links, base: BaseSignals) -> FloatArray:
         """What moves the known links, (n, 6), the other way."""
@@ -246,11 +237,13 @@ def misread(vehicle: VehicleModel, frame: str, ticks: Ticks, period_s: float, wi
         return None
     of_imu, of_joints = [*_of_imu(stated)], [*_of_joints(stated, names)]
     zeros = [stated.also(said, 2, angles=other) for said, other in stated.angles.from_other_zeros(names)]
-    ways = sorted((recording.weighed(way) for way in (*of_imu, *of_joints, *zeros)), key=_SCORE)
+    ways = sorted(
+        (_Weighed(recording.left(way), way) for way in (*of_imu, *of_joints, *zeros)), key=lambda one: one.score
+    )
     if ways[0].left > recording.explained(ways[0].way):
         pairs = [two for way in of_joints for two in (*_of_imu(way), *_of_joints(way, names))]
         pairs += [two for way in _of_units(stated) for two in _of_imu(way)]
-        ways = sorted([*ways, *(recording.weighed(way) for way in pairs)], key=_SCORE)
+        ways = sorted([*ways, *(_Weighed(recording.left(way), way) for way in pairs)], key=lambda one: one.score)
     best = ways[0]._replace(left=recording.left(ways[0].way, ROUNDS))
     by_noise, of_best = (float(recording.by_noise(way).sum()) for way in (stated, best.way))
     if of_best > MOSTLY or best.left > recording.explained(best.way):

@@ -112,7 +112,7 @@ class MotionIdentifier(TickIdentifier):
         self._causes = Causes(keys_of(ekf.predictor), ekf.predictor.sigma, [NOISE_KEY])
         self._corrections = HeldAgainst(ekf.predictor, ekf.fusion, ekf.rivals.spanned)
         self._attached: bool | None = None
-        self._told = 0
+        self._told = self._counted = 0  # changes, and outliers of the filter
         self._mixed: tuple[Weighed, Mixture, float] | None = None  # the last answer, and what it is of
         self._newest_s = self._taken_s = 0.0  # times of the last tick, and of the last that a line was measured at
         self._ended = True  # or what the flight's end left to be solved was given up
@@ -136,11 +136,10 @@ class MotionIdentifier(TickIdentifier):
         if n:
             self._newest_s = float(signals.time_s[-1])
             self._taken_s = float(signals.time_s[(found == 0).any(axis=1)].max(initial=self._taken_s))
-        glitches, self._mixed = self.ekf.glitches, None
         self._attached = feed_filter(self.ekf, ticks, attached, signals.jumps, self._attached, self.ekf.take)
+        self._count()
         self._tell_of_capture(ticks)
         count_refused(self.refused, found)
-        self._count(glitches)
         return found
 
     def prediction_errors(self) -> list[ReferenceErrors]:
@@ -150,15 +149,13 @@ class MotionIdentifier(TickIdentifier):
 
     def work(self) -> None:
         """Solves a window that the last update has left to be solved, as far as the bound on a step goes."""
-        glitches, self._mixed = self.ekf.glitches, None
         self.ekf.work()
-        self._count(glitches)
+        self._count()
 
     def finish(self) -> None:
         """Solves what is under way, and processes the ticks that wait for it, as far as :func:`last_work` goes."""
-        glitches, self._mixed = self.ekf.glitches, None
         self._ended = self.ekf.finish(last_work(len(self.ekf.predictor.vehicle.joints)))
-        self._count(glitches)
+        self._count()
         self._tell_of_capture(self.ekf.predictor.no_ticks)
 
     def _tell_of_capture(self, ticks: Ticks) -> None:
@@ -166,10 +163,11 @@ class MotionIdentifier(TickIdentifier):
         if self._answers and self.ekf.state is not None and self._captured.due:
             self._captured.tell(Payload(*self._known_payload()))
 
-    def _count(self, glitches: int) -> None:
-        """Count rows, and outliers since there were so many."""
-        self.rows_used = 6 * self.ekf.ticks_used
-        self.refused[GateReason.RESIDUAL] += 6 * (self.ekf.glitches - glitches)
+    def _count(self) -> None:
+        """After the filter has gone on: count rows, and its outliers since the last call; the last answer is old."""
+        self.rows_used, self._mixed = 6 * self.ekf.ticks_used, None
+        self.refused[GateReason.RESIDUAL] += 6 * (self.ekf.glitches - self._counted)
+        self._counted = self.ekf.glitches
 
     def estimate(self) -> Estimate:
         """The payload's standard parameters, and mass, centre of mass, inertia about it in its link's axes.
@@ -258,13 +256,12 @@ class MotionIdentifier(TickIdentifier):
             **self.ekf.misfit.by_instrument(),
             **{f"{name} below 1.5 Hz": ratio for name, ratio in slow.by_sensor(DOUBT).items()},
         }
-        off = {name: ratio for name, ratio in each.items() if ratio > MISFIT_DOUBTED}
         swaying = tuple(
             f"residuals of the {name} below 1.5 Hz are {ratio**0.5:.1f} times its noise: {_SWINGING}"
             for name, ratio in slow.by_sensor(REFUSE).items()
             if ratio > MISFIT_PART
         )
-        doubts = [misfit_text(name, ratio) for name, ratio in off.items()]
+        doubts = [misfit_text(name, ratio) for name, ratio in each.items() if ratio > MISFIT_DOUBTED]
         doubts += [f"not as stated: {' or '.join(weighed.names)}"] if weighed.names else []
         doubts += [_ALTERED] * self.ekf.altered + self._of_trackers(found)
         doubts += [f"without {name}, which contradicts the others" for name in fusion.contradicting]

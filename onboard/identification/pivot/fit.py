@@ -29,7 +29,7 @@ from onboard.identification.free_flyer.prediction.imu_errors import (
     imu_reading,
     tick_mean,
 )
-from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, UnknownLayout, Unknowns
+from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, UnknownLayout, Unknowns
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
@@ -100,7 +100,7 @@ class PivotModel:
         self.mass_kg, self._drawn = float(whole[0]), whole[1:]
         half_trace = 0.5 * float(np.trace(symmetric(whole[4:])))
         wide = [*[float(np.sqrt(half_trace * whole[0]))] * 3, *[half_trace] * 6]
-        joints = [geometry.joints.get(joint.name, JointPrior()) for joint in vehicle.joints]
+        joints = geometry.of(vehicle)
         names = [joint.name for joint in vehicle.joints]
         axes = (vehicle.tree.seat_axes @ vehicle.tree.axis[..., None])[..., 0]  # (wheels, 3)
         axial = [float((inertia_about_joint(vehicle, name) @ vehicle.chi).sum()) for name in names]

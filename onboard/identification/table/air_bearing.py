@@ -31,6 +31,7 @@ from onboard.identification.free_flyer.batch import MotionFit, PayloadFit
 from onboard.identification.free_flyer.guesses import GUESSES
 from onboard.identification.free_flyer.prediction.further import PlacedImu
 from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
+from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.parameters import Unknowns
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
@@ -90,7 +91,7 @@ class TableFit(MotionFit):
             return super()._of_joints()
         imu = PlacedImu(self._R_BS, self._p_BoSo_B, signals.samples, slice(0, 0), slice(0, 0))
         noise = JointNoise(vehicle, JointErrors(vehicle), [imu], [], [slice(0, 6)], PLANAR)
-        return noise.of(signals.q, self._likely, signals.joint_sigma)[0]
+        return sigma_of(noise.by_joint(signals.q, self._likely, signals.joint_sigma)[0])
 
     def fit(self) -> PayloadFit:
         """See :meth:`MotionFit.fit`."""

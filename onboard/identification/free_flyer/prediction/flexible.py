@@ -4,12 +4,12 @@ Stiffness and damping are constants, known to the sigmas that the vehicle file s
 tick to tick (:mod:`onboard.dynamics.compliance`); nothing is known of them where a window begins.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.compliance import Bend, BentVehicle, Compliance, Springs, StateColumns
+from onboard.dynamics.compliance import Bend, Compliance, Springs, StateColumns
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
@@ -131,10 +131,6 @@ class FlexibleJoints:
         """With the errors among all unknowns."""
         stated, at = self._stated, self._layout
         return Springs(stated.stiffness * (1.0 + x[at["stiffness"]]), stated.damping * (1.0 + x[at["damping"]]))
-
-    def follow(self, x: FloatArray, period_s: float, ticks: int, move: Callable[[Bend], BentVehicle]) -> Bend:
-        """The bends along a motion; arguments and errors as of :meth:`Compliance.follow`, ``x`` all unknowns."""
-        return self.compliance.follow(x[self._layout["bends"]], self.springs(x), period_s, ticks, move)
 
     def along(
         self,

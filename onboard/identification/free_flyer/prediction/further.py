@@ -41,6 +41,16 @@ class FurtherImu(NamedTuple):
         """Lines that it has."""
         return 6
 
+    def blocks(self) -> dict[str, Unknowns]:
+        """Its unknowns, its name after each of theirs."""
+        prior = self.prior._replace(clock_rate_error=0.0)
+        blocks = {
+            f"{kind} {self.name}": Unknowns(tuple(f"{name}_{self.name}" for name in block.names), block.sigma)
+            for kind, block in imu_blocks(prior).items()
+        }
+        places = tuple(f"place_{axis}_{self.name}" for axis in "xyz")
+        return {**blocks, f"place {self.name}": Unknowns(places, np.full(3, self.place_m))}
+
 
 class CellPrior(NamedTuple):
     """Prior on a cell's errors: standard deviations; zero: exact."""
@@ -75,11 +85,12 @@ class FurtherCell(NamedTuple):
         """Lines that it has."""
         return 1
 
-    def block(self) -> Unknowns:
+    def blocks(self) -> dict[str, Unknowns]:
         """Its errors as a block of unknowns: those of :class:`CellPrior`, then :data:`OF_FRICTION` if it has any."""
         friction = () if self.friction is None else self.friction[1:]
         kinds = (*CellPrior._fields, *OF_FRICTION[: len(friction)])
-        return Unknowns(tuple(f"{kind}_{self.name}" for kind in kinds), np.array([*self.prior, *friction], np.float64))
+        sigma = np.array([*self.prior, *friction], np.float64)
+        return {self.name: Unknowns(tuple(f"{kind}_{self.name}" for kind in kinds), sigma)}
 
 
 def cuts_of(
@@ -141,21 +152,6 @@ def instrument_of(parameter: str, further: Sequence[Further]) -> tuple[int, str]
         if parameter.endswith(f"_{one.name}"):
             return device, parameter.removesuffix(f"_{one.name}")
     return 0, parameter.removesuffix("_imu")
-
-
-def blocks_of(one: Further) -> dict[str, Unknowns]:
-    """Unknowns of a further instrument, its name after each of theirs."""
-    if isinstance(one, FurtherPose):
-        return one.blocks()
-    if isinstance(one, FurtherCell):
-        return {one.name: one.block()}
-    prior = one.prior._replace(clock_rate_error=0.0)
-    blocks = {
-        f"{kind} {one.name}": Unknowns(tuple(f"{name}_{one.name}" for name in block.names), block.sigma)
-        for kind, block in imu_blocks(prior).items()
-    }
-    places = tuple(f"place_{axis}_{one.name}" for axis in "xyz")
-    return {**blocks, f"place {one.name}": Unknowns(places, np.full(3, one.place_m))}
 
 
 class Thruster(NamedTuple):

@@ -32,7 +32,6 @@ from onboard.identification.free_flyer.prediction.further import (
     PlacedImu,
     PlacedPose,
     Thruster,
-    blocks_of,
     cuts_of,
     left_of,
 )
@@ -144,7 +143,7 @@ class ImuPredictor:
             "disturbance": disturbance.block(),
         }
         for one in self.further:
-            blocks |= blocks_of(one)
+            blocks |= one.blocks()
         self.layout = layout = UnknownLayout(blocks)
         self.names, self.sigma = layout.names, layout.sigma
         self._in_push = layout.estimated("disturbance")

@@ -46,7 +46,6 @@ from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import PlacedImu
-from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.native import library, structures
 
@@ -281,7 +280,3 @@ class JointNoise:
         effects = out.reshape(len(at), 2 * joints, -1).repeat(BATCH_TICKS, axis=0)[:n]
         sigmas = (library.given(one, n, 2, joints).swapaxes(1, 2).reshape(n, -1, 1) for one in joint_sigma)
         return [effects * sigma for sigma in sigmas]
-
-    def of(self, q: FloatArray, chi: FloatArray, *joint_sigma: FloatArray) -> list[FloatArray]:
-        """One sigma of it, (n, m), for each of some sigmas of the joints: as :meth:`by_joint`, all joints together."""
-        return [sigma_of(one) for one in self.by_joint(q, chi, *joint_sigma)]

@@ -72,7 +72,7 @@ class MovingBase:
             chain = chain_motion(vehicle, *flexible.compliance.added(told[:3], bend), own[:, :3])
             return BentVehicle(bodies_from_rate(chain.links, period_s, chi, rate, push), chain.screws)
 
-        bend = flexible.follow(x, period_s, len(readings.q), bent)
+        bend = flexible.compliance.follow(x[at["bends"]], flexible.springs(x), period_s, len(readings.q), bent)
         corrected = flexible.compliance.added(told[:3], bend)
         chain = chain_motion(vehicle, *corrected, own[:, :3])
         errors = self._joint_errors.along(chain, told.functions, len(flexible.compliance.functions))

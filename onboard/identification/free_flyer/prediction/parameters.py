@@ -55,6 +55,10 @@ class GeometryPrior(NamedTuple):
     imu_place_m: float = 0.0  # of each coordinate
     joints: Mapping[str, JointPrior] = MappingProxyType({})
 
+    def of(self, vehicle: VehicleModel) -> list[JointPrior]:
+        """Of all joints of a vehicle, in its order."""
+        return [self.joints.get(joint.name, JointPrior()) for joint in vehicle.joints]
+
     def blocks(self, vehicle: VehicleModel) -> dict[str, Unknowns]:
         """As blocks of unknowns: ``imu_place``, (3,), ``joints``, (6 x joints,), see :data:`JOINT_ERRORS`, ``cyclic``.
 
@@ -65,8 +69,7 @@ class GeometryPrior(NamedTuple):
             vehicle.joint(name)
         names, sigma = [], []
         cyclic, rms = [], []
-        for joint in vehicle.joints:
-            own = self.joints.get(joint.name, JointPrior())
+        for joint, own in zip(vehicle.joints, self.of(vehicle), strict=True):
             names += [f"{kind}_{joint.name}" for kind in JOINT_ERRORS]
             sigma += [*[own.place_m] * 3, own.zero, own.scale, own.delay_s]
             cyclic += [f"cyclic_{k}_{wave}_{joint.name}" for k in range(len(own.cyclic)) for wave in ("cos", "sin")]
@@ -79,13 +82,11 @@ class GeometryPrior(NamedTuple):
 
     def springs(self, vehicle: VehicleModel) -> dict[int, SpringPrior]:
         """Of the joints that give way, by their places in the vehicle's joints."""
-        every = ((k, self.joints.get(joint.name, JointPrior()).spring) for k, joint in enumerate(vehicle.joints))
-        return {k: spring for k, spring in every if spring is not None}
+        return {k: own.spring for k, own in enumerate(self.of(vehicle)) if own.spring is not None}
 
     def cyclic_joints(self, vehicle: VehicleModel) -> list[int]:
         """The joint of each unknown of ``cyclic``, by its place in the vehicle's joints."""
-        each = [len(self.joints.get(joint.name, JointPrior()).cyclic) for joint in vehicle.joints]
-        return [index for index, count in enumerate(each) for _ in range(2 * count)]
+        return [index for index, own in enumerate(self.of(vehicle)) for _ in range(2 * len(own.cyclic))]
 
     def cyclic_slopes(self, vehicle: VehicleModel) -> FloatArray:
         """Slope of each function of ``cyclic`` by each joint's angle, over the other function of its pair, (joints, m).
@@ -93,8 +94,7 @@ class GeometryPrior(NamedTuple):
         Of a cosine it is less its periods in a radian, times 2 pi; of a sine it is these.
         """
         slopes = np.zeros((len(vehicle.joints), len(of := self.cyclic_joints(vehicle))))
-        every = (self.joints.get(joint.name, JointPrior()).cyclic for joint in vehicle.joints)
-        slopes[of, range(len(of))] = [sign * periods for own in every for periods, _ in own for sign in (-1.0, 1.0)]
+        slopes[of, range(len(of))] = [s * n for own in self.of(vehicle) for n, _ in own.cyclic for s in (-1.0, 1.0)]
         return slopes
 
 

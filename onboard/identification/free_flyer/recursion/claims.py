@@ -16,11 +16,6 @@ _KINDS = {  # of a detected change, by what was held before and what explains th
     (False, HeldPayload.NEW): "capture",
 }
 
-_AFTER_A_CHANGE = {  # hypotheses in the order in which they are tried, by whether a payload was held
-    True: (HeldPayload.NOTHING, HeldPayload.SAME, HeldPayload.NEW),
-    False: (HeldPayload.NOTHING, HeldPayload.NEW),
-}
-
 
 def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False, *, altered: bool = False) -> str:
     """What a detected change was.
@@ -38,7 +33,8 @@ def kind_of(before: bool, hypothesis: HeldPayload, instrument: bool = False, *, 
 
 def after_a_change(held: bool, known: bool = True) -> tuple[HeldPayload, ...]:
     """Hypotheses in the order in which they are tried; ``known``: there is an estimate of what was held."""
-    return tuple(one for one in _AFTER_A_CHANGE[held] if known or one is not HeldPayload.SAME)
+    same = (HeldPayload.SAME,) if held and known else ()
+    return (HeldPayload.NOTHING, *same, HeldPayload.NEW)
 
 
 def at_first(held: bool, carried: bool) -> tuple[HeldPayload, ...]:

@@ -151,8 +151,7 @@ class InnovationLines:
         known = 0.0 if self.strongest is None else self.strongest.power
         if largest > expected - np.log(of_each(DOUBT, _BLOCKS)) and largest > known:
             frequency = (place + 1) / (self._filled * self._period_s)
-            name = "gyro" if channel < _CHANNELS // 2 else "accelerometer"
-            self.strongest = Line(largest, largest / expected, frequency, name)
+            self.strongest = Line(largest, largest / expected, frequency, _SENSORS[channel // 3])
         self._filled = self._used = 0
 
 
@@ -172,7 +171,7 @@ class Unexplained:
     def __init__(self, period_s: float) -> None:
         self._period_s, self._contact = period_s, round(CONTACT_s / period_s)
         self._first, self._longest = (round(wait_s / period_s) for wait_s in (_SUMMED_s, _BLOCK_s))
-        self.count, self.wait, self.between = 0, 0, ""
+        self.settle()
         self._lines: list[tuple[float, float, Line]] = []  # first and last time of the window
 
     def begin(self, *, change: bool = False) -> None:
@@ -223,10 +222,9 @@ def line_of(residual: FloatArray, period_s: float) -> Line | None:
     place, channel = divmod(int(peaks.argmax()), power.shape[1])
     if peaks[place, channel] < MOSTLY * power[:, channel].sum():
         return None
-    name = "gyro" if channel < power.shape[1] // 2 else "accelerometer"
     scale = float(3.0 * (np.hanning(n) ** 2).sum())  # of three bins of white noise of unit variance
     beyond = float(peaks[place, channel]) / scale
-    return Line(beyond, beyond / np.log(power.size), (place + lowest) / (n * period_s), name)
+    return Line(beyond, beyond / np.log(power.size), (place + lowest) / (n * period_s), _SENSORS[channel // 3])
 
 
 def _detrended(residual: FloatArray) -> FloatArray:

@@ -94,8 +94,6 @@ class WindowSolve:
         self._steps, self._taken, self._released = steps, taken, released
         self._imu, self._own = imu, predictor.lines[imu]
         self._ticks, self.prior, self._given = ticks, prior, start
-        self._lines = LineNoise.alone(ticks.sigma[1:-1])
-        self._whitening = np.zeros((0, 0, 0))  # by that
         self.over = False
         self.found: Solved | None = None
         self.nearest: Solved | None = None
@@ -134,7 +132,7 @@ class WindowSolve:
                 self._failed(nearly=nearly)
             return
         if descent.found is not None:
-            self._fitted(descent.found, whole)
+            self._fitted(descent.found, whole, at_minimum=True)
         elif descent.iteration > max(before, _HOPELESS_AFTER) and self._is_hopeless(descent.prospect):
             self._give_up(descent, whole)
         else:
@@ -252,14 +250,18 @@ class WindowSolve:
         else:
             self._begin()
 
-    def _fitted(self, fitted: Fit, whole: Pieces) -> None:
+    def _fitted(self, fitted: Fit, whole: Pieces, *, at_minimum: bool) -> None:
         """The iteration that was under way has this result, so near to the last prediction that it is not repeated."""
         if self._stage is not _Stage.GUESS:
             self._check(fitted, whole)
             return
-        if self._best is None or fitted.residual_sum < self._best.residual_sum:
+        before = self._best if at_minimum else self._stopped_at
+        if before is None or fitted.residual_sum < before.residual_sum:
             assert self._descent is not None
-            self._best = fitted._replace(x=self._descent.best)  # the last step is long
+            if at_minimum:
+                self._best = fitted._replace(x=self._descent.best)  # the last step is long
+            else:
+                self._stopped_at = fitted
         self._next_guess()
 
     def _stopped(self, descent: Descent, whole: Pieces) -> None:
@@ -271,13 +273,8 @@ class WindowSolve:
             fitted = descent.short_of_the_minimum()
         except SingularError:
             self._failed(nearly=False)
-            return
-        if self._stage is not _Stage.GUESS:
-            self._check(fitted, whole)
-            return
-        if self._stopped_at is None or fitted.residual_sum < self._stopped_at.residual_sum:
-            self._stopped_at = fitted
-        self._next_guess()
+        else:
+            self._fitted(fitted, whole, at_minimum=False)
 
     def _explains(self, squares: float) -> bool:
         """Whether residuals and deviations from the prior of this sum are no worse than chance."""
