@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -63,7 +62,7 @@ def budgets(found: Identification) -> RenderableType:
         width = {one.name: one.high - one.value for one in log.answers if one.supported}
         for name in (name for name in log.budget if name in width):
             unit = next(one.unit for one in log.answers if one.name == name)
-            table = _table(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
+            table = runs_view.of_numbers(f"{name} +- {width[name]:.3g} {unit} (95 %)", "share", "sigma", "of")
             for one in log.budget[name]:
                 if one.share >= _LEAST_SHARE:
                     share = f"{one.share:4.0%} {'#' * max(1, round(_BAR * one.share)):{_BAR}s}"
@@ -78,17 +77,9 @@ def _verdict(verdict: Verdict) -> Text:
     return said
 
 
-def _table(title: str, *headings: str) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(headings[0], no_wrap=True)
-    for heading in headings[1:]:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
-
-
 def _one(log: Identified) -> list[RenderableType]:
     """Estimates of a log, and below them the evidence."""
-    answers = _table("", "", "unit", "value", "95 % interval", "bound", "level")
+    answers = runs_view.of_numbers("", "", "unit", "value", "95 % interval", "bound", "level")
     for answer in log.answers:
         if answer.supported:
             interval = f"{answer.low:.4g} .. {answer.high:.4g}"
@@ -172,7 +163,7 @@ def _throws(logs: Sequence[Identified], together: PrincipalMoments | None) -> Ta
     shared = len(heads.pop()) if len(heads) == 1 else 0
     load = next(log.throw.load for log in logs if log.throw)
     title = f"{load.name}, {1e3 * load.mass_kg:g} g: principal moments ± 95 %, kg mm²"
-    table = _table(title, "", "I1", "I2", "I3", "err %", "held out %")
+    table = runs_view.of_numbers(title, "", "I1", "I2", "I3", "err %", "held out %")
     for log, stem in zip(logs, stems, strict=True):
         principal = log.throw.principal if log.throw else None
         if log.throw is None or principal is None:
@@ -192,7 +183,7 @@ def _throws(logs: Sequence[Identified], together: PrincipalMoments | None) -> Ta
 
 def _summary(summaries: Sequence[LoadSummary]) -> Table:
     title = "error of the principal moments, norm over norm of the truth"
-    table = _table(title, "", "throws", "mean %", "bar", "worst %", "bar", "in interval")
+    table = runs_view.of_numbers(title, "", "throws", "mean %", "bar", "worst %", "bar", "in interval")
     for one in summaries:
         mean_bar, worst_bar = (f"{bar:g}" for bar in one.load.bars_percent) if one.load.bars_percent else ("", "")
         throws_said = f"{one.throws}" if one.answered == one.throws else f"{one.answered} of {one.throws}"

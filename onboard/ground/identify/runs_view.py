@@ -12,6 +12,14 @@ from rich.text import Text
 Row = Mapping[str, Any]
 
 
+def of_numbers(title: str, *headings: str) -> Table:
+    """A table without rows, the first column on the left, the others on the right."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    return table
+
+
 def compared(runs: Sequence[Row], truth: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Runs beside what was flown: which motion, and how far release and catch are from the true ones.
 

@@ -30,6 +30,12 @@ class PoseWindow(NamedTuple):
     grid_s: FloatArray  # (n + 1,)
     level: FloatArray  # (d, n, j) of each valve, for each of d delays, means of a step
 
+    @property
+    def yaw(self) -> FloatArray:
+        """As tracked, in the middle of each step, (n,)."""
+        middle_s = 0.5 * (self.grid_s[1:] + self.grid_s[:-1])
+        return np.interp(middle_s, self.time_s, self.measured[:, 2])
+
 
 class Guess(NamedTuple):
     """A first guess."""
@@ -114,7 +120,7 @@ def _add(found: Products, window: PoseWindow, part: np.ndarray, noise: FloatArra
     d, n, j = window.level.shape
     t, twice = time_s - time_s[0], partial(_twice, window.grid_s, time_s)
     levels = np.moveaxis(window.level, 1, 0).reshape(n, -1)  # (n, d j)
-    theta = np.interp(0.5 * (window.grid_s[1:] + window.grid_s[:-1]), window.time_s, window.measured[:, 2])
+    theta = window.yaw
     alone, along, across = (
         np.moveaxis(twice(one).reshape(len(t), d, j), 1, 0)
         for one in (levels, np.cos(theta)[:, None] * levels, np.sin(theta)[:, None] * levels)
@@ -186,7 +192,8 @@ def state(window: PoseWindow, force: FloatArray, first: Guess, place_m: FloatArr
     yaw = window.measured[:, 2] - yaw_rad
     c, s = np.cos(yaw), np.sin(yaw)
     lever = place_m - first.centre_m
-    pushed = [twice(one) / first.mass_kg for one in _pushes(window, force, yaw_rad)]
+    along, across = np.cos(window.yaw - yaw_rad), np.sin(window.yaw - yaw_rad)
+    pushed = [twice(one) / first.mass_kg for one in (along * fx - across * fy, across * fx + along * fy)]
     ways = (
         window.measured[:, 0] - c * lever[0] + s * lever[1] - pushed[0],
         window.measured[:, 1] - s * lever[0] - c * lever[1] - pushed[1],
@@ -194,15 +201,6 @@ def state(window: PoseWindow, force: FloatArray, first: Guess, place_m: FloatArr
     )
     rate, begun = np.polyfit(t, np.stack(ways, axis=1), 1)
     return np.concatenate([begun, rate])
-
-
-def _pushes(window: PoseWindow, force: FloatArray, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Forces along the table's x and y, by the yaw that was tracked."""
-    fx, fy, _ = force.T
-    middle = 0.5 * (window.grid_s[1:] + window.grid_s[:-1])
-    theta = np.interp(middle, window.time_s, window.measured[:, 2]) - yaw_rad
-    c, s = np.cos(theta), np.sin(theta)
-    return c * fx - s * fy, s * fx + c * fy
 
 
 def _twice(grid_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:

@@ -6,8 +6,7 @@ one part or one instrument is a hypothesis of its own (:mod:`~onboard.identifica
 
 import numpy as np
 
-from onboard.dynamics.model.inertia import elements
-from onboard.dynamics.model.payload import body_jacobian
+from onboard.dynamics.model.payload import body_jacobian, numbers_of
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import inverse_of
 from onboard.identification.corrections import Together, together
@@ -62,8 +61,7 @@ def leans_on(flight: WholeFlight, found: FlightFit) -> tuple[str, ...]:
     D[:, :10] = body_jacobian(found.chi)
     keys = [*[""] * 10, *(flight.key_of(name) for name in found.names[10:])]
     sigma = np.sqrt(np.diag(found.payload.covariance))
-    body = found.payload.body
-    size = np.abs([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
+    size = np.abs(numbers_of(found.payload.body))
     causes = Causes(keys, flight.sigma, [NOISE_KEY])
     effects = causes.effects(D @ found.fit.covariance)
     effects[:, -1] = np.abs(D @ found.correction.sigma)

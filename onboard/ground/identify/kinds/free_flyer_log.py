@@ -28,7 +28,7 @@ from onboard.flight.estimate.problem.identification import build_free_flyer
 from onboard.flight.estimate.readings.jumps import jumped_text
 from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.tick_recorder import JumpRecorder
+from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.free_flyer.before_capture import ANNOUNCED_s, BeforeCapture, Payload, Zeros, before_capture
@@ -70,7 +70,8 @@ def identify_free_flyer(vehicle: config.Vehicle, log: LogReader) -> Identified:
         ChannelError: a log of another vehicle.
     """
     online, model = build_free_flyer(vehicle, tracked=False)
-    recorder = JumpRecorder(str(model.spec.payload_link), len(model.joints), online.further)
+    recorder = TickRecorder(str(model.spec.payload_link), len(model.joints), online.further)
+    recorder.follows_jumps = True
     return _Flight(log, online, recorder, fed(Estimator(vehicle, recorder), log, AT_ONCE_s)).identified()
 
 
@@ -84,7 +85,7 @@ class _Flight:
         estimator: that has made these.
     """
 
-    def __init__(self, log: LogReader, online: MotionIdentifier, recorder: JumpRecorder, estimator: Estimator) -> None:
+    def __init__(self, log: LogReader, online: MotionIdentifier, recorder: TickRecorder, estimator: Estimator) -> None:
         vehicle, predictor, jumps = estimator.vehicle, online.ekf.predictor, recorder.jumps
         settings = vehicle.file.estimation
         ticks, self._attached = Ticks.joined(recorder.ticks), np.concatenate(recorder.attached)

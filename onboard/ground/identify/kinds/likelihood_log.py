@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.model.inertia import RigidBody, elements
-from onboard.dynamics.model.payload import BodyEstimate
+from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.payload import BodyEstimate, numbers_of
 from onboard.estimation.arrays import FloatArray, finite, gaps
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import contradicted_text
@@ -259,10 +259,9 @@ def body_answers(
         wider: factor of the variances.
         bound: least sigmas, (10,).
     """
-    values = np.array([body.mass_kg, *body.centre_of_mass_m, *elements(body.inertia_kg_m2)])
     sigma = np.sqrt(wider * np.diag(covariance))
     fine = np.asarray(sigma <= SUPPORTED_SHRINKAGE * _size(body), np.bool_)
-    return answers_of(names, BODY_UNITS, values, sigma, fine, bound)
+    return answers_of(names, BODY_UNITS, numbers_of(body), sigma, fine, bound)
 
 
 def _size(body: RigidBody) -> FloatArray:

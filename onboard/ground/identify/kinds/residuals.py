@@ -69,10 +69,16 @@ class KeptRows:
             at, values = at[order], values[order]
             rank = np.arange(len(at)) - np.searchsorted(at, at)  # of several rows at a tick
             for k in range(int(rank.max(initial=-1)) + 1):
-                series = np.full(int(tick.max()) + 1, np.nan)
-                series[at[rank == k]] = values[rank == k]
+                series = _series(at[rank == k], values[rank == k], int(tick.max()) + 1)
                 found[name if not rank.any() else f"{name} {k + 1}"] = series
         return found
+
+
+def _series(tick: NDArray[np.int64], values: FloatArray, size: int) -> FloatArray:
+    """Values at their ticks, (size,); NaN at the others."""
+    series = np.full(size, np.nan)
+    series[tick] = values
+    return series
 
 
 def by_axis(time_s: FloatArray, left: FloatArray, period_s: float, further: Sequence[str] = ()) -> Residuals:
@@ -85,15 +91,9 @@ def by_axis(time_s: FloatArray, left: FloatArray, period_s: float, further: Sequ
         further: names of the lines after the sixth.
     """
     tick = np.round((time_s - time_s[0]) / period_s).astype(np.int64)
-    found: Residuals = {}
     names = [*(f"{one} {axis}" for one in ("gyro", "accelerometer") for axis in "xyz"), *further]
-    for name, values in zip(names, left.T, strict=True):
-        if np.isnan(values).all():
-            continue
-        series = np.full(int(tick[-1]) + 1, np.nan)
-        series[tick] = values
-        found[name] = series
-    return found
+    used = ((name, values) for name, values in zip(names, left.T, strict=True) if not np.isnan(values).all())
+    return {name: _series(tick, values, int(tick[-1]) + 1) for name, values in used}
 
 
 def autocorrelation(series: FloatArray, lags: int) -> FloatArray:

@@ -41,9 +41,3 @@ class TickRecorder(TableRun):
         self.attached.append(attached)
         self.jumps += signals.jumps
         return found
-
-
-class JumpRecorder(TickRecorder):
-    """Is given jumps of encoders, too."""
-
-    follows_jumps = True

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from drivers import records
@@ -145,10 +143,8 @@ def render(table: Result) -> RenderableType:
     """The table for a terminal of 80 columns."""
     title = f"{table['title']} (seed {table['seed']})"
     published = any("identified_g" in row for row in table["masses"])
-    made = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    made.add_column("", no_wrap=True)
-    for heading in ("truth", *(("publ.", "err %") if published else ()), "heft", "95 % interval", "err %"):
-        made.add_column(heading, justify="right", no_wrap=True)
+    theirs = ("publ.", "err %") if published else ()
+    made = runs_view.of_numbers(title, "", "truth", *theirs, "heft", "95 % interval", "err %")
     for section in _SHOWN:
         for row in table[section]:
             if section == "motions" and not row["supported"]:
