@@ -10,7 +10,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
 from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
-from onboard.identification.rows.checks.remade import RowsRemade, turned
+from onboard.identification.rows.checks.remade import MOVING, RowsRemade, turned
 from onboard.identification.rows.checks.suspected import of_no_key, suspected
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.rows import RowModel, load_cell_row
@@ -239,3 +239,21 @@ def test_of_errors_of_angles_what_is_beyond_linear_is_taken_off_the_estimate():
     assert abs(tool[1] / TOOL.mass_kg - 1.0) < 2e-3 < abs(tool[0] / TOOL.mass_kg - 1.0)
     np.testing.assert_allclose(wider, P * (wider[0, 0] / P[0, 0]), rtol=1e-12)
     assert wider[0, 0] > 1.1 * P[0, 0]
+
+
+def test_rows_that_are_made_again_change_with_an_error_as_its_column_says(rng):
+    """Signs among them: an error that sums over all rows tell is put into rows that are made again."""
+    who = identifier(stated=SCALES)
+    who = identifier(stated=SCALES, more=of_no_key(ZEROS, who.model))
+    bench.feed(who, run())
+    ticks, beta = who._bank._kept.ticks, rng.standard_normal(len(who.base.names))
+    at, use = np.flatnonzero(np.isin(run().time_s, ticks.time_s)), np.ones(ticks.measured.shape, np.bool_)
+    held = np.zeros(len(run().time_s), np.bool_)
+    held[at] = ticks.attached
+    D = who.errors.factors(run(), at, use, held)
+    columns = (D.reshape(use.size, len(who.considered), -1) @ [*beta, 1.0]).reshape(*use.shape, -1)
+    moving = [k for k, one in enumerate(who.considered) if one.effect in MOVING]
+    assert {who.considered[k].effect for k in moving} == {"joint_zero", "joint_scale", "accelerometer_misalignment"}
+    remade = RowsRemade(who.model, who.base, who.considered).at(ticks, beta, np.zeros(len(who.considered)))
+    slope = remade.slope[..., len(beta) :]
+    np.testing.assert_allclose(slope[..., moving], columns[..., moving], atol=1e-3 * np.abs(slope).max())
