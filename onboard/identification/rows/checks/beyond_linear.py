@@ -24,11 +24,10 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.evidence.mixture import Known
+from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED
 from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
 from onboard.identification.rows.checks.remade import MOVING, RowsRemade
 from onboard.identification.rows.stated_errors.considered import Considered
-
-_ROUNDS, _SETTLED = 8, 0.1  # sigmas of the change in one
 
 
 class BeyondLinear:
@@ -73,9 +72,9 @@ class BeyondLinear:
         J = self.about(x)[1].reshape(-1, len(x))
         weighted = (J * self._ticks.weight.reshape(-1, 1)).T
         gain, off = np.linalg.solve(weighted @ J + np.linalg.inv(S), weighted), np.zeros(len(x))
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             before, off = off, gain @ self._rho(x - off).ravel()
-            if (np.abs(off - before) < _SETTLED * np.sqrt(np.diag(P))).all():
+            if (np.abs(off - before) < SETTLED * np.sqrt(np.diag(P))).all():
                 break
         own, bodies = off[: self._half.shape[1]], P[: self._half.shape[1], : self._half.shape[1]]
         length = float(own @ np.linalg.solve(bodies, own)) / max(len(own) - float(np.trace(bodies)), 1.0)

@@ -206,9 +206,8 @@ class RowSuspects:
             correlation: how many neighbouring rows say the same thing.
             seen: the recursion's rows: what noise of the motion adds to their information.
         """
-        independent, lag = self._independent(ticks, correlation)
         share = min(float(self._kept.every), correlation) * np.count_nonzero(ticks.weight) / self._rows.sum()
-        n, ticks = self._n, independent
+        (ticks, lag), n = self._independent(ticks, correlation), self._n
         about = np.zeros(n + len(self._sigma))
         about[:n] = np.linalg.pinv(self._half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
