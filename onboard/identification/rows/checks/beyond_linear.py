@@ -56,7 +56,8 @@ class BeyondLinear:
         self._remade, self._ticks = remade, ticks
         self._half, self._centre, self._sigma = half, centre, sigma
         self._moves = np.array([one.effect in MOVING for one in errors])
-        self._C = remade.at(ticks, made_at, np.zeros(len(sigma))).slope[..., len(centre) :]
+        self._made_at, as_read = made_at, remade.at(ticks, made_at, np.zeros(len(sigma)))
+        self._read, self._Y, self._C = as_read.reading, *np.split(as_read.slope, [len(centre)], axis=2)
 
     def of(self, known: Known, suspect: Suspect | None) -> Known:
         """Mean and covariance of the state by rows as they are, of those by rows that are linear, under a hypothesis.
@@ -90,8 +91,8 @@ class BeyondLinear:
         """What rows are beyond linear in errors of the motion, (t, m)."""
         beta, errors = self._parts(x)
         moved = np.where(self._moves, errors, 0.0)
-        as_read = self._remade.at(self._ticks, beta, 0.0 * errors).reading
-        return self._remade.at(self._ticks, beta, moved).reading - as_read - self._C @ moved
+        linear = self._read + self._Y @ (beta - self._made_at) + self._C @ moved
+        return self._remade.moved(self._ticks, beta, moved) - linear
 
     def _parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Base parameters, (p,), and errors of instruments, (e,), by the state."""

@@ -95,6 +95,10 @@ class RowsRemade:
                 reading[:, row] += errors[k] * slope[:, row, self._p + k]
         return RemadeRows(reading, slope)
 
+    def moved(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray) -> FloatArray:
+        """Readings alone, (t, m), of cells without errors, whose scales are not estimated; of others see :meth:`at`."""
+        return np.asarray(self._rows(ticks, errors) @ [*beta, 1.0], np.float64)
+
     def _axis(self, error: Considered) -> FloatArray:
         """Direction that gravity is turned about, in axes of the base."""
         axes = np.eye(3) if error.effect == "level" else self._model.vehicle.pose_in_base(error.row)[0]

@@ -262,11 +262,13 @@ class RowSuspects:
             ticks, lag = self._independent(ticks.at(ticks.time_s >= since_s), of.correlation)
             known = half, errors.centre, errors.sigma
             beyond = BeyondLinear(self._all_remade, errors.of_instruments, *known, ticks, mean)
-            x = beyond.of(weighed.known(weighed.likeliest), weighed.likeliest.suspect)[0]
+            x, _ = beyond.of(weighed.known(weighed.likeliest), weighed.likeliest.suspect)
             reading, J = beyond.about(x)
             left = _Left(J, ticks.measured - reading + J @ x, ticks)
             self._left = left.shares(x, left.noise(x, np.ones(ticks.weight.shape[1]), lag))
             self.explains = not self.judged()[0] and bool((self._left.noise <= MISFIT_PART).all())
+            if not self.explains:
+                return
 
         def base(one: Hypothesis) -> Known:
             z, P = weighed.known(one) if beyond is None else beyond.of(weighed.known(one), one.suspect)
