@@ -12,9 +12,8 @@ from onboard.ground.log.bring_in.text_rows import LARGEST_BYTES, Values
 
 _HEADER, _COMPRESSED = 128, 15  # bytes of version 5's, miCOMPRESSED
 _AT_ONCE = 1 << 20
-_BROKEN = (  # what the reader raises for altered files
-    *(ValueError, TypeError, KeyError, EOFError, NotImplementedError, OverflowError, MemoryError, zlib.error),
-)
+# what the reader raises for altered files
+_BROKEN = (ValueError, TypeError, KeyError, EOFError, NotImplementedError, OverflowError, MemoryError, zlib.error)
 
 
 def read_mat(path: Path) -> dict[str, Values]:
