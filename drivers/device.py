@@ -51,6 +51,15 @@ class Rests(Protocol):
 
 
 @runtime_checkable
+class Coalesces(Protocol):
+    """A device whose rows bear the stamps of its port, so that what comes within some time may be read at once."""
+
+    @property
+    def coalesces_ns(self) -> int:
+        """Time whose rows are read at once by a pump that waits, and between two pumps that do not, ns; 0: none."""
+
+
+@runtime_checkable
 class Hurried(Protocol):
     """A device that holds one sample only, and loses it where the next one comes first."""
 

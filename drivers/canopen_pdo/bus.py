@@ -25,7 +25,7 @@ STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are 
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
-GATHER_S = 0.05  # of frames at once while no node waits for an answer
+COALESCED_NS = 50_000_000  # of frames at once while no node waits for an answer
 PLAYING_S = 0.005  # longest wait for a frame while drives are driven
 REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
 LONGEST_REST_NS = 100_000_000  # a tenth of the heartbeats' limit, and a fifth of the time between two checks
@@ -113,6 +113,16 @@ class CanopenBus:
         """Time between two pumps, ns; 0: ``pump`` waits on the port. Non-zero only while the port fails."""
         return self._port.period_ns
 
+    @property
+    def coalesces_ns(self) -> int:
+        """See ``drivers.device.Coalesces``: nothing while a drive is driven, a node is asked or the port fails."""
+        busy = self._plays or self._port.period_ns > 0 or any(node.asks for node in self._nodes)
+        return 0 if busy else COALESCED_NS
+
+    @property
+    def _plays(self) -> bool:
+        return self.player is not None and self.player.is_active
+
     def start(self, now_ns: int) -> list[Batch]:
         """Begin the set-up of all nodes in parallel. See ``drivers.device.Device``."""
         self._port.now_ns = self._started_ns = now_ns
@@ -133,11 +143,10 @@ class CanopenBus:
         if self._pumped_ns is not None:
             self._note_standstill(self._pumped_ns, now_ns)
         self._pumped_ns = now_ns
-        plays = self.player is not None and self.player.is_active
-        timeout_s = min(timeout_s, PLAYING_S) if plays else timeout_s
+        timeout_s = min(timeout_s, PLAYING_S) if self._plays else timeout_s
         frames = self._port.receive(timeout_s)
-        if frames and timeout_s > 0.0 and not (plays or any(node.asks for node in self._nodes)):
-            frames += self._port.gather(GATHER_S)
+        if frames and timeout_s > 0.0 and (coalesced_ns := self.coalesces_ns):
+            frames += self._port.gather(1e-9 * coalesced_ns)
         awaited_ns = now_ns + round(timeout_s * 1e9)
         if self.player is not None:
             self.player.set_time(max(now_ns, frames[0].host_ns) if frames else awaited_ns)

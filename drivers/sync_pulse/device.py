@@ -9,6 +9,7 @@ from drivers.records import PULSE, Batch, Severity
 from drivers.reporter import Reporter
 
 RETRY_NS = 20_000_000
+COALESCED_NS = 50_000_000
 LONGEST_REST_NS = 1_000_000_000  # ten edges or so, of the queue's many
 _WRAP = 1 << 32
 
@@ -47,6 +48,11 @@ class SyncPulse:
     def period_ns(self) -> int:
         """Time between two pumps, ns; 0: ``pump`` waits on the line. Non-zero only while the line fails."""
         return RETRY_NS if self._failing else 0
+
+    @property
+    def coalesces_ns(self) -> int:
+        """See ``drivers.device.Coalesces``: edges have the kernel's stamps."""
+        return 0 if self._failing else COALESCED_NS
 
     def start(self, now_ns: int) -> list[Batch]:
         """No set-up: edges since the line was opened are queued and returned by the first pump."""

@@ -5,7 +5,7 @@ A device that cannot be started is reported and left out; the others continue.
 
 from collections.abc import Callable, Mapping, Sequence
 
-from drivers.device import Device, Rests
+from drivers.device import Coalesces, Device, Rests
 from drivers.errors import DriverError
 from drivers.records import Batch, Severity, event
 from onboard.flight.acquire.arming import Arming
@@ -33,7 +33,7 @@ class Acquisition:
         self._publisher, self._arming = publisher, arming
         self.devices = list(devices)
         self._due_ns = dict.fromkeys((device.name for device in devices), 0)
-        self._resting = {each.name: each for each in devices if undisturbed and isinstance(each, Rests)}
+        self._later = {each.name: later for each in devices if (later := _later(each, undisturbed)) is not None}
         self._held: list[Batch] = []  # of steps that did not hand over
 
     def start(self, now_ns: int) -> None:
@@ -68,8 +68,8 @@ class Acquisition:
         Args:
             now_ns: CLOCK_MONOTONIC.
             hand_over: publish what was found; else it waits for a step that does.
-            handed_over_at: when rows found at a time are handed over; of the polls before it a device that rests
-                needs the last one only.
+            handed_over_at: when rows found at a time are handed over; of the polls before it a device that rests, or
+                coalesces, needs the last one only.
         """
         for device in self.devices:
             name = device.name
@@ -78,9 +78,9 @@ class Acquisition:
             self._held += self._pumped(device, now_ns, 0.0)
             period_ns = device.period_ns
             due_ns = now_ns + (period_ns or 1)
-            if name in self._resting:
-                rests_ns = min(self._resting[name].rests_until(now_ns), handed_over_at(due_ns))
-                due_ns = max(due_ns, rests_ns - (rests_ns - now_ns) % (period_ns or 1))
+            if name in self._later:
+                later_ns = min(self._later[name](now_ns), handed_over_at(due_ns))
+                due_ns = max(due_ns, later_ns - (later_ns - now_ns) % (period_ns or 1))
             self._due_ns[name] = due_ns
         if hand_over:
             self._hand_over()
@@ -119,3 +119,10 @@ class Acquisition:
     def report(self, batches: list[Batch]) -> None:
         """Publish batches of the app itself."""
         self._publisher.publish(batches)
+
+
+def _later(device: Device, undisturbed: bool) -> Callable[[int], int] | None:
+    """When a device that was pumped at a time needs the next pump at the latest; None: when it is due."""
+    if undisturbed and isinstance(device, Rests):
+        return device.rests_until
+    return (lambda now_ns: now_ns + device.coalesces_ns) if isinstance(device, Coalesces) else None
