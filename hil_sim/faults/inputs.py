@@ -1,12 +1,13 @@
 """Applies input faults to analogue inputs: stuck, saturated, wrong, delayed."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil_sim.faults.plan import NEVER, DeviceFaults
-from hil_sim.faults.vocabulary import INPUT_KINDS, FaultKind
+from hil_sim.faults.vocabulary import INPUT_KINDS, MEMORYLESS, FaultKind
 from hil_sim.sensing.analog import ImuAnalog, KnownAhead, ManyValues, ScalarAnalog
 
 _INERTIAL = np.array([0, 1, 2, 4, 5, 6])  # columns of ImuAnalog.counts without the temperature
@@ -47,10 +48,34 @@ class FaultyScalar:
 
     def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """``value`` at each of ``times_s`` (n,), in order."""
-        over = not self._is_faulty or (len(times_s) and self._faults.over(self._start_ns + round(times_s[0] * 1e9)))
-        if over and isinstance(self._analog, ManyValues):
+        if not isinstance(self._analog, ManyValues):
+            return np.array([self.value(time_s) for time_s in times_s.tolist()])
+        if not self._is_faulty or not len(times_s):
             return self._analog.values(times_s)
-        return np.array([self.value(time_s) for time_s in times_s.tolist()])
+        times_ns = self._start_ns + np.rint(times_s * 1e9).astype(np.int64)
+        first_ns, last_ns = times_ns[[0, -1]].tolist()
+        if self._faults.over(first_ns):
+            return self._analog.values(times_s)
+        if self._faults.quiet_until(first_ns, *MEMORYLESS) <= last_ns:  # stuck
+            return np.array([self.value(time_s) for time_s in times_s.tolist()])
+        at: NDArray[np.float64] = times_s - self._sizes(FaultKind.DELAYED, times_ns)
+        readings = self._analog.values(np.where(at < times_s, np.maximum(at, 0.0), times_s))
+        readings = readings * (1.0 + self._sizes(FaultKind.WRONG, times_ns))
+        readings += self._sizes(FaultKind.SLIPPED, times_ns, math.radians)
+        saturated = self._sizes(FaultKind.SATURATED, times_ns, lambda sign: math.copysign(math.inf, sign))
+        unsaturated = readings[saturated == 0.0]
+        self._last = float(unsaturated[-1]) if len(unsaturated) else self._last
+        return np.where(saturated == 0.0, readings, saturated)
+
+    def _sizes(
+        self, kind: FaultKind, times_ns: NDArray[np.int64], size_of: Callable[[float], float] = float
+    ) -> NDArray[np.float64]:
+        """Of the fault of this kind that is in force at each of the times, (n,); 0: none is."""
+        sizes = np.zeros(len(times_ns))
+        for window in reversed(self._faults.windows):  # the first in force counts
+            if window.kind is kind:
+                sizes[(times_ns >= window.start_ns) & (times_ns < window.end_ns)] = size_of(window.value)
+        return sizes
 
 
 class FaultyImu:

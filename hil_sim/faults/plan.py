@@ -66,6 +66,11 @@ class DeviceFaults:
         """Whether none is in force from ``now_ns`` on."""
         return all(window.end_ns <= now_ns for window in self.windows)
 
+    def quiet_until(self, now_ns: int, *besides: FaultKind) -> int:
+        """Before when none is in force but of kinds ``besides``: ``now_ns`` where one is."""
+        others = [w for w in self.windows if w.kind not in besides and w.end_ns > now_ns]
+        return max(now_ns, others[0].start_ns) if others else NEVER
+
     def within(self, now_ns: int, *kinds: FaultKind) -> FaultWindow | None:
         """The first fault of one of these kinds in force at ``now_ns``, or None."""
         for window in self.windows:

@@ -91,6 +91,9 @@ INPUT_KINDS: Final = (FaultKind.STUCK, FaultKind.WRONG, FaultKind.DELAYED)
 ENCODER_KINDS: Final = (*INPUT_KINDS, FaultKind.SLIPPED)
 """What ``FaultyScalar`` applies to the angle of a joint."""
 
+MEMORYLESS: Final = (FaultKind.WRONG, FaultKind.DELAYED, FaultKind.SLIPPED, FaultKind.SATURATED)
+"""Those of inputs that do not ask what was read before."""
+
 CLOCK_KINDS: Final = (FaultKind.SLOW, FaultKind.CLOCK_JUMP)
 """What ``FaultyClock`` applies to any oscillator."""
 

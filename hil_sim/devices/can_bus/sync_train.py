@@ -36,6 +36,9 @@ class AnswersAhead(Protocol):
     def answers(self, now_ns: int) -> Sequence[Tpdo] | None:
         """The TPDOs that it answers each SYNC from now on with, as it stands; None: it does something else on one."""
 
+    def knows_until(self, now_ns: int) -> int:
+        """Up to when that holds, if nothing but SYNC happens; ``now_ns`` or before: not at all."""
+
     def hears(self, identifier: int) -> bool:
         """Whether a PDO of another node does anything to it."""
 
@@ -177,6 +180,7 @@ class SyncTrains:
                 continue
             if not _answers_ahead(node) or (answers := node.answers(sync_end_ns)) is None:
                 return
+            known_ns = min(known_ns, node.knows_until(sync_end_ns))
             self._nodes.append(node)
             senders += [(tpdo, place) for tpdo in answers]
         senders.sort(key=lambda one: one[0].cob_id)

@@ -20,7 +20,7 @@ from hil_sim.devices.can_bus.can_wire import TransmitFrame
 from hil_sim.devices.can_bus.object_dictionary import Abort, Access, DataType, DictionaryError, Entry, ObjectDictionary
 from hil_sim.devices.can_bus.tpdo import ANSWER_NS, Tpdo
 from hil_sim.devices.powered import PoweredTwin
-from hil_sim.faults import NEVER, DeviceFaults, FaultKind, garbled
+from hil_sim.faults import MEMORYLESS, NEVER, DeviceFaults, FaultKind, garbled
 
 _BOOT_NS = 50_000_000
 _BOOT_STAGGER_NS = 1_100_000
@@ -143,7 +143,7 @@ class CanopenNode(PoweredTwin):
 
     def answers(self, now_ns: int) -> list[Tpdo] | None:
         """TPDOs that it answers each SYNC from now on with, as things stand; None where that is not known."""
-        if (self._is_faulty and not self._faults.over(now_ns)) or self._sync_cob_id.value != _SYNC:
+        if self.knows_until(now_ns) <= now_ns or self._sync_cob_id.value != _SYNC:
             return None
         if self.state != OPERATIONAL:
             return []
@@ -151,6 +151,10 @@ class CanopenNode(PoweredTwin):
         if None in every_sync:
             return None
         return [tpdo for tpdo, answers in zip(self._tpdos, every_sync, strict=True) if answers]
+
+    def knows_until(self, now_ns: int) -> int:
+        """Up to when no fault but of its inputs' readings changes what it answers; ``now_ns``: one is in force."""
+        return self._faults.quiet_until(now_ns, *MEMORYLESS) - ANSWER_NS if self._is_faulty else NEVER
 
     def hears(self, identifier: int) -> bool:
         """Whether a PDO of another node does anything to it."""

@@ -13,11 +13,16 @@ from hil_sim.devices.canopen.encoder406 import Encoder406
 from hil_sim.devices.canopen.loadcell404 import LoadCell404
 from hil_sim.devices.canopen.measured_object import MeasuredObject
 from hil_sim.devices.sync.sync_box import SyncBox
-from hil_sim.faults import NEVER, FaultPlan
+from hil_sim.faults import MEMORYLESS, NEVER, FaultPlan
 from hil_sim.faults.vocabulary import Fault, FaultKind
 from tests.hil_sim.devices.twin_bench import MS, START_NS, Analog, CanRig, RateClock
 
 AHEAD_NS = 300 * MS
+FAULTS = {  # and their values
+    **dict.fromkeys([FaultKind.STUCK, FaultKind.SILENT, FaultKind.GARBAGE, FaultKind.OFF], 0.0),
+    **dict.fromkeys([FaultKind.DELAYED, FaultKind.INTERMITTENT, FaultKind.WRONG, FaultKind.SLIPPED], 0.05),
+    FaultKind.SATURATED: -1.0,
+}
 
 
 class Swing:
@@ -139,39 +144,28 @@ def test_a_frame_that_comes_between_contends_with_what_is_left_of_a_train():
     assert frames == plain
 
 
-def test_no_trains_where_a_fault_is_to_come():
-    faults = FaultPlan([Fault(FaultKind.STUCK, "n", 1.0)], START_NS).of("n")
-    made = Counted(
-        SyncBox(RateClock(), START_NS),
-        Encoder406(1, Swing(1.0), START_NS),
-        Encoder406(9, Swing(1.0), START_NS, faults=faults),
-        ahead=True,
-    )
-    made.run(80)
-    made.send(0x000, 1, 0)
-    made.run(500)
-    assert made.trains == 0
-    assert len([frame for frame in made.frames if frame.identifier == 0x281]) > 90
-
-
-@pytest.mark.parametrize("kind", [FaultKind.STUCK, FaultKind.SILENT, FaultKind.GARBAGE, FaultKind.DELAYED])
-def test_trains_after_the_last_fault_are_what_the_wire_carries_frame_by_frame(kind):
+@pytest.mark.parametrize("kind", FAULTS)
+def test_trains_before_in_and_after_a_fault_are_what_the_wire_carries_frame_by_frame(kind):
     def flight(*, ahead):
-        faults = FaultPlan([Fault(kind, "n", 0.3, 0.5, 0.05)], START_NS).of("n")
-        nodes = Encoder406(1, Swing(1.0), START_NS), Encoder406(9, Swing(1.0), START_NS, faults=faults)
+        faults = FaultPlan([Fault(kind, "n", 0.5, 0.9, FAULTS[kind])], START_NS).of("n")
+        faulty = LoadCell404 if kind is FaultKind.SATURATED else Encoder406
+        nodes = Encoder406(1, Swing(1.0), START_NS), faulty(9, Swing(1.0), START_NS, faults=faults)
         made = Counted(SyncBox(RateClock(), START_NS), *nodes, ahead=ahead)
         made.run(80)
         for node in (1, 9):
             made.wire.send(0x600 + node, bytes.fromhex("23 00 18 01 81 01 00 80"), made.now_ns)  # the timer's TPDO off
             made.run(3)
         made.send(0x000, 1, 0)
-        made.run(420 - 86)
-        during = made.trains
-        made.run(1000)
-        return made, during, [node.produced for node in nodes]
+        counts = []
+        for until_ms in (498, 890, 1500):
+            before = made.trains + made.rounds
+            made.run(until_ms - (made.now_ns - START_NS) / MS)
+            counts.append(made.trains + made.rounds - before)
+        return made, counts, [node.produced for node in nodes]
 
-    (ahead, during, made), (plain, _, expected) = flight(ahead=True), flight(ahead=False)
-    assert during == 0 < ahead.trains + ahead.rounds
+    (ahead, (before, during, after), made), (plain, _, expected) = flight(ahead=True), flight(ahead=False)
+    assert min(before, after) > 50
+    assert (during > 50) == (kind in MEMORYLESS)
     assert (ahead.frames, made) == (plain.frames, expected)
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from hil_sim.faults import (
     EFFECTS,
+    NEVER,
     NO_FAULTS,
     Fault,
     FaultError,
@@ -102,6 +103,41 @@ def test_scalar_that_was_never_read_sticks_to_the_first_value_read():
 def test_scalar_saturates_at_either_end(value, end):
     analog = FaultyScalar(Analog(lambda t: t), of(Fault("saturated", "x", 1.0, 2.0, value)), START_NS)
     assert [analog.value(t) for t in (0.5, 1.5, 2.5)] == [0.5, end, 2.5]
+
+
+class ManyAnalog(Analog):
+    """One that can be asked for many instants at once."""
+
+    def values(self, times_s):
+        return np.array([self.value(time_s) for time_s in times_s.tolist()])
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["wrong", "delayed", "slipped", "saturated", "stuck"]), st.integers(0, 40)),
+        min_size=1,
+        max_size=4,
+        unique_by=lambda one: one[0],
+    ),
+    st.lists(st.integers(1, 20), min_size=1, max_size=8),
+)
+def test_scalar_reads_the_same_however_the_times_are_batched(drawn, batches):
+    faults = of(*(Fault(kind, "x", 0.01 * start, 0.01 * start + 0.11, 0.02) for kind, start in drawn))
+    many, each = (FaultyScalar(ManyAnalog(math.cos), faults, START_NS) for _ in range(2))
+    k = 0
+    for n in batches:
+        times_s = 0.005 * np.arange(k, k + n)
+        assert many.values(times_s).tolist() == [each.value(time_s) for time_s in times_s.tolist()]
+        k += n
+
+
+@pytest.mark.parametrize(
+    ("now_s", "until_s"), [(0.0, 1.0), (0.999, 1.0), (1.0, 1.0), (1.5, 1.5), (2.0, 4.0), (3.0, 4.0), (5.0, math.inf)]
+)
+def test_it_is_quiet_until_the_next_fault_of_another_kind(now_s, until_s):
+    faults = of(Fault("stuck", "x", 1.0, 2.0), Fault("wrong", "x", 2.5, 9.0, 0.1), Fault("silent", "x", 4.0, 5.0))
+    until_ns = NEVER if until_s == math.inf else START_NS + round(1e9 * until_s)
+    assert faults.quiet_until(START_NS + round(1e9 * now_s), FaultKind.WRONG) == until_ns
 
 
 def test_imu_without_faults_is_the_imu_itself():
