@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from onboard.dynamics.kinematics import LinkMotion, cross, inertia_columns, turned
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.dynamics.kinematics import LinkMotion, inertia_columns, turned
+from onboard.estimation.arrays import FloatArray, cross, hat
 
 
 def momentum_columns(link: LinkMotion, v: FloatArray, w: FloatArray) -> FloatArray:

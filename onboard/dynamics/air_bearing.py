@@ -22,7 +22,7 @@ from numpy.polynomial.legendre import legvander
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.kinematics import chain_motion
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.dynamics.spatial import MOMENTUM, crf, crm, force_transforms, times
+from onboard.dynamics.spatial import MOMENTUM, crm, force_cross, force_transforms, times
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.native.library import call, carved, given
@@ -82,8 +82,9 @@ class PlanarRun:
         X = force_transforms(frames.R, frames.p)
         own, z = X.swapaxes(2, 3), X[:, :, 5]
         v, a = times(own, frames.V), times(own, frames.A)
-        self._twists = np.stack([X[:, :, 0], X[:, :, 1], z, a, times(crm(z), v), v], axis=2)  # (m, links, 6, 6)
-        self._to_base = X[:, :, PLANAR]
+        twists = np.stack([X[:, :, 0], X[:, :, 1], z, a, times(crm(z), v), v], axis=2)  # (m, links, 6, 6)
+        self._twists = np.ascontiguousarray(twists.swapaxes(0, 1))
+        self._to_base = X[:, :, PLANAR].swapaxes(1, 2).copy()  # (m, 3, links, 6)
         self.period_s, self.gravity_m_s2 = signals.period_s, -vehicle.spec.gravity_m_s2[2]
         self._columns: dict[tuple[int, ...], FloatArray] = {}
         self._rest: tuple[FloatArray, FloatArray] | None = None  # parameters without those of some links, their wrench
@@ -91,8 +92,11 @@ class PlanarRun:
     def columns(self, links: tuple[int, ...]) -> FloatArray:
         """Of the parameters of some links, (m, 3, 6, 10 x links)."""
         if links not in self._columns:
-            each = self._wrenches(list(links), np.repeat(MOMENTUM[None], len(links), axis=0))  # (m, links, 3, 6, 10)
-            self._columns[links] = np.moveaxis(each, 1, 3).reshape(len(each), 3, 6, 10 * len(links))
+            m, k = len(self._to_base), len(links)
+            own = self._wrenches(list(links), np.repeat(MOMENTUM[None], k, axis=0)).reshape(m, k, 6, 60)
+            each = self._to_base[:, :, list(links)].swapaxes(1, 2) @ own  # (m, links, 3, 60)
+            columns = each.reshape(m, k, 3, 6, 10).transpose(0, 2, 3, 1, 4)
+            self._columns[links] = columns.reshape(m, 3, 6, 10 * k)
         return self._columns[links]
 
     def wrench(self, chi: FloatArray, links: tuple[int, ...], part: slice = slice(None)) -> FloatArray:
@@ -106,24 +110,25 @@ class PlanarRun:
         own, rest = np.array(links, np.intp), chi.reshape(-1, 10).copy()
         rest[own] = 0.0
         if self._rest is None or not np.array_equal(rest, self._rest[0]):
+            k, m = len(rest), len(self._to_base)
             B = np.einsum("aij,kj->kai", MOMENTUM, rest)[..., None]
-            self._rest = rest, self._wrenches(list(range(len(B))), B)[..., 0].sum(axis=1)
+            every = self._wrenches(list(range(k)), B).reshape(m, 6 * k, 6)
+            self._rest = rest, self._to_base.reshape(m, 3, 6 * k) @ every
         found: FloatArray = self._rest[1][part]
         return found + self.columns(links)[part] @ chi.reshape(-1, 10)[own].ravel() if links else found
 
     def _wrenches(self, links: list[int], B: FloatArray) -> FloatArray:
-        """Of each of some links, (m, links, 3, 6, c), by its momentum per twist, (links, 6, 6, c)."""
-        U, (k, _, _, c), m = self._twists[:, links], B.shape, len(self._twists)
-        H = (U @ B.reshape(k, 6, 6 * c)).reshape(m, k, 6, 6, c)
+        """Of each of some links in its axes, (m, links, 6, 6, c), by its momentum per twist, (links, 6, 6, c)."""
+        U, (k, _, _, c), m = self._twists[links], B.shape, self._twists.shape[1]
+        H = (U.reshape(k, 6 * m, 6) @ B.reshape(k, 6, 6 * c)).reshape(k, m, 6, 6, c)
         out = np.empty((m, k, 6, 6, c))  # rows of the wrench, then what it is multiplied by
-        out[:] = H.swapaxes(2, 3)
-        both = np.concatenate([H[:, :, 5], H[:, :, 2]], axis=3)  # of v, of z
-        by_v, by_z = crf(U[:, :, 5]) @ both, crf(U[:, :, 2]) @ both
-        out[..., 3, :] += by_v[..., :c]
-        out[..., 4, :] += by_z[..., :c] + by_v[..., c:]
-        out[..., 5, :] = by_z[..., c:]
-        found: FloatArray = (self._to_base[:, links] @ out.reshape(m, k, 6, 6 * c)).reshape(m, k, 3, 6, c)
-        return found
+        out[:] = H.transpose(1, 0, 3, 2, 4)
+        both = H[:, :, [5, 2]].swapaxes(3, 4)  # (links, m, 2, c, 6), of v, of z
+        by_v, by_z = (np.moveaxis(force_cross(U[:, :, one, None, None], both), (1, 4), (0, 3)) for one in (5, 2))
+        out[..., 3, :] += by_v[:, :, 0]
+        out[..., 4, :] += by_z[:, :, 0] + by_v[:, :, 1]
+        out[..., 5, :] = by_z[:, :, 1]
+        return out
 
 
 def predict_run(

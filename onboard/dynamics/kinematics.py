@@ -22,7 +22,7 @@ import numpy as np
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import force_transforms, own_inertias
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray, cross, hat
 from onboard.native import library, structures
 
 _TENSOR = np.zeros((3, 18))  # maps a vector to its product with a symmetric tensor, by columns of XX XY YY XZ YZ ZZ
@@ -62,18 +62,6 @@ class Chain(NamedTuple):
     screws: FloatArray  # (n, joints, 6) twist of a joint's unit rate
     axes: FloatArray  # (n, joints + 1, 3, 3) of the bodies: the base, then what each joint carries
     origins: FloatArray  # (n, joints + 1, 3)
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product ``c = a x b`` along the last axis; three times as fast as NumPy's."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    first = y * w - z * v
-    out = np.empty((*first.shape, 3))
-    out[..., 0] = first
-    out[..., 1] = z * u - x * w
-    out[..., 2] = x * v - y * u
-    return out
 
 
 def turned(R: FloatArray, a: FloatArray) -> FloatArray:

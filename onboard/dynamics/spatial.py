@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray, cross, hat
 from onboard.native import library, structures
 
 
@@ -23,10 +23,10 @@ def _maps() -> tuple[FloatArray, ...]:
     momentum[3:, :3, 1:4], momentum[:3, 3:, 1:4] = hats, -hats
     of, to = np.repeat([3, 4, 5], 3), np.tile([3, 4, 5], 3)
     momentum[of, to, [4, 5, 7, 5, 6, 8, 7, 8, 9]] = 1.0  # XX XY YY XZ YZ ZZ
-    return crm.reshape(6, 36), -crm.swapaxes(1, 2).reshape(6, 36), coad.reshape(6, 36), momentum
+    return crm.reshape(6, 36), coad.reshape(6, 36), momentum
 
 
-_CRM, _CRF, _COAD, MOMENTUM = _maps()
+_CRM, _COAD, MOMENTUM = _maps()
 
 
 def crm(V: FloatArray) -> FloatArray:
@@ -35,10 +35,10 @@ def crm(V: FloatArray) -> FloatArray:
     return out
 
 
-def crf(V: FloatArray) -> FloatArray:
-    """``crf(V) F = V x* F`` of force vectors, (..., 6, 6): ``-crm(V)'``."""
-    out: FloatArray = (V @ _CRF).reshape(*V.shape, 6)
-    return out
+def force_cross(V: FloatArray, F: FloatArray) -> FloatArray:
+    """``V x* F`` of a twist and a force vector along the last axis, (..., 6): ``-crm(V)' F``."""
+    v, w, f = V[..., :3], V[..., 3:], F[..., :3]
+    return np.concatenate([cross(w, f), cross(w, F[..., 3:]) + cross(v, f)], axis=-1)
 
 
 def coad(L: FloatArray) -> FloatArray:

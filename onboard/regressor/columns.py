@@ -14,12 +14,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.kinematics import Bodies, Chain, cross
+from onboard.dynamics.kinematics import Bodies, Chain
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.inertia import moved_to
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, cross
 from onboard.native import library
 
 

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import composite_inertia, cross, link_motions, wrench_columns
+from onboard.dynamics.kinematics import composite_inertia, link_motions, wrench_columns
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import possible_body
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, cross
 from onboard.estimation.smoothing import smooth
 
 _ROUNDS = 5

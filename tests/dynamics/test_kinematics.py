@@ -13,7 +13,7 @@ from onboard.dynamics.kinematics import Bodies, chain_motion, composite_inertia,
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.dynamics.spatial import coad, crf, crm
+from onboard.dynamics.spatial import coad, crm, force_cross
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
 from tests.native.oracle.bodies import Columns
 
@@ -34,8 +34,9 @@ def close(found, truth):
 def test_products_of_spatial_vectors_are_dual(rng):
     V, U, F = rng.normal(size=(3, TICKS, 6, 1))
     power = F.swapaxes(1, 2) @ crm(V[..., 0]) @ U  # of a wrench that moves with the frame
-    np.testing.assert_allclose(power, -(crf(V[..., 0]) @ F).swapaxes(1, 2) @ U)
-    np.testing.assert_allclose(coad(F[..., 0]) @ V, crf(V[..., 0]) @ F)
+    of_force = force_cross(V[..., 0], F[..., 0])[..., None]
+    np.testing.assert_allclose(power, -of_force.swapaxes(1, 2) @ U)
+    np.testing.assert_allclose(coad(F[..., 0]) @ V, of_force)
     assert np.abs(power).min() > 0.0
 
 

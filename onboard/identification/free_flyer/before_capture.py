@@ -20,11 +20,10 @@ import pinocchio as pin
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from onboard.dynamics.kinematics import cross
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import symmetric
-from onboard.estimation.arrays import FloatArray, gaps, hat
+from onboard.estimation.arrays import FloatArray, cross, gaps, hat
 from onboard.estimation.policy import DOUBT
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, first_rate
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor

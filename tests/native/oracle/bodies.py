@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.kinematics import cross, spatial_inertias
-from onboard.dynamics.spatial import MOMENTUM, coad, crf, crm, force_transforms, times
-from onboard.estimation.arrays import hat
+from onboard.dynamics.kinematics import spatial_inertias
+from onboard.dynamics.spatial import MOMENTUM, coad, crm, force_cross, force_transforms, times
+from onboard.estimation.arrays import cross, hat
 
 _PARTS = 84  # of a body: I, dI, L, F
 _I, _DI, _L, _F = slice(0, 36), slice(36, 72), slice(72, 78), slice(78, 84)
@@ -132,7 +132,7 @@ class Columns:
         own = times(back, V)
         columns = self._of(own)
         if A is not None:
-            columns = crf(own) @ columns
+            columns = force_cross(own[..., None, :], columns.swapaxes(-1, -2)).swapaxes(-1, -2)
             columns += self._of(times(back, A))
         n, k = X.shape[:2]
         out.reshape(n, 6, k, 10)[:] = (X @ columns).swapaxes(1, 2)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from onboard.dynamics.kinematics import Chain, Frames, cross
+from onboard.dynamics.kinematics import Chain, Frames
 from onboard.dynamics.spatial import times
+from onboard.estimation.arrays import cross
 
 
 def chain_motion(vehicle, q, dq, ddq, offsets=None):

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from onboard.dynamics.kinematics import cross, turned
+from onboard.dynamics.kinematics import turned
 from onboard.dynamics.spatial import times
-from onboard.estimation.arrays import hat
+from onboard.estimation.arrays import cross, hat
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from tests.native.oracle.bodies import Bodies
 from tests.native.oracle.chain import chain_motion

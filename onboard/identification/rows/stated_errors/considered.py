@@ -12,9 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.dynamics.kinematics import cross
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, cross
 from onboard.regressor.rows import RowModel, base_motion
 from onboard.regressor.signals import Signals
 
