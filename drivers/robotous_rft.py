@@ -256,6 +256,10 @@ class RobotousRft(ScalarStream[WrenchChannel]):
             else:
                 self._report.event(host_ns, Severity.INFO, "sensor_normal", "within its rating again")
 
+    def _end_stream(self, now_ns: int) -> bool:
+        sends = self._phase in (_Phase.STARTING, _Phase.RUNNING)
+        return sends and self._link.write(now_ns, command(STOP)) is not None
+
     def _finish(self, now_ns: int) -> None:
         if self._last_ns is not None:
             self._lose_at_end(now_ns, self._last_ns)

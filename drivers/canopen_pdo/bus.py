@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from drivers.canopen_pdo import frame
-from drivers.canopen_pdo.bus_port import BusPort
+from drivers.canopen_pdo.bus_port import DRAIN_S, DRAINS, BusPort
 from drivers.canopen_pdo.guarding import Guard, GuardConfig
 from drivers.canopen_pdo.node import Node
 from drivers.canopen_pdo.play.torque_master import Play, master_of
@@ -29,7 +29,6 @@ COALESCED_NS = 50_000_000  # of frames at once while no node waits for an answer
 PLAYING_S = 0.005  # longest wait for a frame while drives are driven
 REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
 LONGEST_REST_NS = 100_000_000  # a tenth of the heartbeats' limit, and a fifth of the time between two checks
-DRAINS, DRAIN_S = 16, 0.03  # receives in ``stop``, until one is empty
 
 
 class CanopenBus:

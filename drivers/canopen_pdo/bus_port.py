@@ -7,6 +7,7 @@ from drivers.records import Severity
 from drivers.reporter import Reporter
 
 RETRY_NS = 20_000_000  # between two pumps while the port fails
+DRAINS, DRAIN_S = 16, 0.03  # receives at a stop, of a muted port, until one is empty
 ERROR_CLASSES = {  # linux/can/error.h
     0x001: "transmit timeout",
     0x002: "arbitration lost",

@@ -104,7 +104,7 @@ class DynamixelBus(PolledDevice):
             from drivers.dynamixel import driven  # noqa: PLC0415  (few flights drive)
 
             self._driven = driven.DrivenLine(play, self.timing, self._report)
-        self._rest, self._now = rest, clock
+        self._rest = rest
 
     @property
     def player(self) -> "Player[DynamixelAxis] | None":

@@ -180,8 +180,10 @@ class NetFt(ScalarStream[NetFtChannel]):
                 else:
                     self._report.event(host_ns, Severity.INFO, "sensor_normal", "it has no error any more")
 
+    def _end_stream(self, now_ns: int) -> bool:
+        return self._link.write(now_ns, request(STOP)) is not None
+
     def _finish(self, now_ns: int) -> None:
-        self._link.write(now_ns, request(STOP))
         if self._last_ns is not None:
             silent_ns = now_ns - self._last_ns
             lost = int(silent_ns / self._frame_ns)

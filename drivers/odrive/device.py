@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.canopen_pdo.bus_port import BusPort
+from drivers.canopen_pdo.bus_port import DRAIN_S, DRAINS, BusPort
 from drivers.errors import ConfigurationError, FrameError
 from drivers.odrive.message import (
     CLOSED_LOOP,
@@ -268,7 +268,10 @@ class Odrives:
         """Read the rest, and count what is missing."""
         self._port.now_ns = now_ns
         self._port.mute()
-        self._take(self._port.receive(0.0))
+        for _ in range(DRAINS):
+            if not (frames := self._port.receive(DRAIN_S)):
+                break
+            self._take(frames)
         for axis in self._axes.values():
             for stream in axis.streams.values():
                 stream.finish(now_ns)

@@ -293,12 +293,11 @@ class Qsb(SerialDevice):
             self._marks += 1
         self._report.rows(f"{self.name}_mark", rows)
 
-    def _finish(self, now_ns: int) -> None:
+    def _end_stream(self, now_ns: int) -> bool:
         command = greeting_commands()[0].text.encode() + b"\r"
-        if self._link.write(now_ns, command) is not None and not self._todo:
-            chunk = self._link.read(now_ns, 0)
-            if chunk is not None:
-                self._receive(now_ns, chunk)
+        return self._link.write(now_ns, command) is not None and not self._todo
+
+    def _finish(self, now_ns: int) -> None:
         self._hand_over_marks(now_ns, None)
         if self._last_ns is not None and self._misses_its_end(now_ns - self._last_ns):
             lost = round((now_ns - self._last_ns) / self.config.interval_ns)

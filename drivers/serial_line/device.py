@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from drivers import transports
 from drivers.errors import ConfigurationError, DriverError, FrameError
 from drivers.ports import SerialPort
 from drivers.records import Batch, Severity
@@ -27,6 +28,9 @@ LARGEST_FRESH_READ = 4000
 MOST_EXCHANGES = 32  # largest number of exchanges per pump
 MS = 1_000_000
 SILENT_AT_STOP_NS = 100 * MS
+STOP_REST_S = 2e-3  # between two reads of what is still under way at a stop
+STOP_SILENT_RESTS = 10  # without a byte, counted and not timed: the computer may stand still meanwhile
+STOP_RESTS = 50  # at most, of a device that does not stop
 
 
 class ReceivedBytes(NamedTuple):
@@ -154,6 +158,7 @@ class SerialDevice(ABC):
         self.bad_frames = 0
         self._report = Reporter(name)
         self._link = SerialLink(open_port, clock, self._report)
+        self._now = clock
         self._period_ns = round(poll_period_ms * 1e6)
         self._silence_ns = round(silence_ms * 1e6)
         self._running = False
@@ -187,21 +192,37 @@ class SerialDevice(ABC):
         return self._report.take()
 
     def stop(self, now_ns: int) -> list[Batch]:
-        """Read the rest, stop the device, record missing samples, close the port."""
+        """Read the rest, end the device's stream and read what is still under way, record missing samples, close."""
         if self._running:
-            wanted = self._wanted()
-            for _ in range(MOST_EXCHANGES):  # also bytes that arrive meanwhile
-                chunk = self._link.read(now_ns, wanted)
-                if chunk is None:
-                    break
-                self._receive(now_ns, chunk)
-                wanted = 0
+            self._read_rest(now_ns, self._wanted())
+            if self._end_stream(now_ns):
+                self._read_what_is_under_way(now_ns)
             self._finish(now_ns)
             self._link.close()
             self._connected = self._running = False
             self._report.event(now_ns, Severity.INFO, "stopped", f"stopped, {self.bad_frames} bad frames in all")
         self._report.flush(now_ns)
         return self._report.take()
+
+    def _read_rest(self, now_ns: int, wanted: int = 0) -> bool:
+        """Read what has come, and what comes meanwhile; whether there was anything."""
+        for place in range(MOST_EXCHANGES):
+            chunk = self._link.read(now_ns, wanted)
+            if chunk is None:
+                return place > 0
+            self._receive(now_ns, chunk)
+            wanted = 0
+        return True
+
+    def _read_what_is_under_way(self, now_ns: int) -> None:
+        """Samples made before the device had the request to end its stream: read until nothing comes any more."""
+        silent = 0
+        for _ in range(STOP_RESTS):
+            before_ns = self._now()
+            transports.rest(STOP_REST_S)
+            silent = 0 if self._read_rest(now_ns) else silent + 1
+            if silent >= STOP_SILENT_RESTS or not self._link.is_open or self._now() == before_ns:  # a clock that stands
+                return
 
     def _exchange(self, now_ns: int) -> None:
         link = self._link
@@ -242,6 +263,14 @@ class SerialDevice(ABC):
             last = self._last_error
             text = f"no valid frame for {silent_ms} ms ({last}): check power, wiring, baud rate; port is reopened"
             self._link.drop(now_ns, "silent", text)
+        return False
+
+    def _end_stream(self, now_ns: int) -> bool:
+        """Ask a device that streams to end that, at a stop; whether it was asked: what it sent before it heard is read.
+
+        One that cannot be asked sends on; what it says after the last read is not of the flight.
+        """
+        del now_ns
         return False
 
     def _finish(self, now_ns: int) -> None:  # noqa: B027 - a hook that may be left as it is

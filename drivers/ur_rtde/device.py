@@ -264,6 +264,10 @@ class UrRtde(ScalarStream[RtdeChannel]):
             self._report.gap(host_ns, channel, first, last, duration_ns, cause, counted=counted)
         self._following[channel] = int(numbers[-1]) + 1
 
+    def _end_stream(self, now_ns: int) -> bool:
+        sends = self._awaited in (packet.START, packet.DATA)
+        return sends and self._link.write(now_ns, packet.package(packet.PAUSE)) is not None
+
     def _finish(self, now_ns: int) -> None:
         if self._last is None:
             return

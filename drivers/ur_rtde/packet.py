@@ -14,7 +14,7 @@ from drivers.errors import FrameError
 from drivers.serial_line.frames import ReceivedBuffer
 
 VERSION, URCONTROL, TEXT, OUTPUTS, START, DATA = b"VvMOSU"
-INPUTS, PAUSE = b"IP"  # never sent by us
+INPUTS, PAUSE = b"IP"  # inputs are never sent by us
 HEADER = struct.Struct(">HB")
 PROTOCOL = 2
 LARGEST = 4096  # the guide's limit of a package's size is 65535; all outputs together have 2 kB

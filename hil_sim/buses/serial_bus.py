@@ -19,6 +19,7 @@ from hil_sim.faults import NEVER, NO_FAULTS, DeviceFaults, FaultKind
 
 _LAZY_NS: Final = 50_000_000
 _USB_PACKET: Final = 62  # characters in a full packet of an FTDI adapter, after two status bytes
+_KEPT: Final = 65_536  # newest characters handed over, and samples ended, whose times are known
 
 
 class HostLink(Protocol):
@@ -45,6 +46,9 @@ class HostLink(Protocol):
 
     def give(self, data: bytes) -> None:
         """Characters it received."""
+
+    def unread(self) -> int:
+        """Characters that it had received and not read when it closed its port."""
 
     def unplug(self) -> None:
         """The adapter is pulled out."""
@@ -78,6 +82,7 @@ class _Wire(SerialWire):
         self._sample_length, self._said = sample_length, said
         self._listens = device if isinstance(device, Listens) else None
         self._ends_ns: deque[int] = deque()  # of samples that may still be under way
+        self._ended_ns = deque[int](maxlen=_KEPT)  # of those that are not
         super().__init__(device)
 
     @property
@@ -93,8 +98,12 @@ class _Wire(SerialWire):
     def under_way(self, now_ns: int) -> int:
         """Samples of which the end was not there yet at ``now_ns``."""
         while self._ends_ns and self._ends_ns[0] <= now_ns:
-            self._ends_ns.popleft()
+            self._ended_ns.append(self._ends_ns.popleft())
         return len(self._ends_ns)
+
+    def ended_after(self, read_ns: int) -> int:
+        """Samples that are not under way any more, of which the end came after ``read_ns``."""
+        return sum(1 for end_ns in self._ended_ns if end_ns > read_ns)
 
     def _transmit(self, data: bytes, ready_ns: int) -> int:
         end_ns = super()._transmit(data, ready_ns)
@@ -138,6 +147,8 @@ class SerialBus:
         self._made: Callable[[], int] = lambda: 0
         self._made_before: int | None = None  # the port was first open
         self._discarded = False
+        self._is_heard = False  # by the flight computer, when this was last looked at
+        self._given_ns = deque[int](maxlen=_KEPT)  # when the newest characters handed over had been received
         self._latency_ns = latency_ns
         self._held = Arrived([], b"")  # in the USB adapter
         self._rng = np.random.default_rng([seed, 0x5E])
@@ -150,6 +161,7 @@ class SerialBus:
     def samples(self) -> int:
         """That devices had to say while the flight computer had its port open; see ``add``."""
         self.look()
+        self._leave_out_unread()
         return self._samples
 
     @property
@@ -179,7 +191,7 @@ class SerialBus:
             made: Of a device that talks unasked: samples it has made. ``samples`` counts them from when the flight
                 computer first had its port open at the device's speed, and had thrown away what was in it, to when it
                 last had it open; those that it could not hear because something broke included, but not those of
-                which the end is still under way.
+                which the end is still under way, or was not read when it closed the port.
             sample_length: How many characters of a message make a sample; 0: it is none.
             asks: Of a device that is asked: whether a message of the flight computer asks for a sample; None: each.
         """
@@ -220,6 +232,7 @@ class SerialBus:
     def _advance(self, now_ns: int) -> None:
         if not self._now_ns:
             self._now_ns = now_ns
+        self._leave_out_unread()
         if self._link.is_live:
             self._go_to(now_ns)
         sent = self._link.take()
@@ -237,9 +250,19 @@ class SerialBus:
             self._made_before = self._made()
             self._discarded = discards
         self._go_to(now_ns)
+        self._is_heard |= hears
         if hears and self._plugged and self._made_before is not None:
             there_ns = self._held.ends_ns[0] - 1 if self._held.data else now_ns
             self._samples = self._made() - self._made_before - sum(wire.under_way(there_ns) for wire in self._wires)
+
+    def _leave_out_unread(self) -> None:
+        """Where the port was closed: samples that end in characters not read came after the last read."""
+        if not self._is_heard or self._link.line is not None:
+            return
+        self._is_heard = False
+        if known := min(self._link.unread(), len(self._given_ns)):
+            read_ns = self._given_ns[-known] - 1
+            self._samples -= sum(wire.ended_after(read_ns) for wire in self._wires)
 
     def _go_to(self, now_ns: int) -> None:
         while (stop_ns := self._next_plugging(now_ns)) is not None:
@@ -256,20 +279,21 @@ class SerialBus:
         self._now_ns = now_ns
         if self._faults:
             arrived = self._through_faults(arrived.characters())
-        data = self._through_adapter(arrived, now_ns) if self._latency_ns else arrived.data
+        ends_ns, data = self._through_adapter(arrived, now_ns) if self._latency_ns else arrived
         if data:
             self.to_host += len(data)
+            self._given_ns.extend(ends_ns)
             self._link.give(data)
 
-    def _through_adapter(self, arrived: Arrived, now_ns: int) -> bytes:
+    def _through_adapter(self, arrived: Arrived, now_ns: int) -> Arrived:
         ends_ns, data = self._held.ends_ns + arrived.ends_ns, self._held.data + arrived.data
         if not data:
-            return data
+            return arrived
         expiry_ns = now_ns // self._latency_ns * self._latency_ns
         ready = bisect_right(ends_ns, expiry_ns)
         ready += (len(data) - ready) // _USB_PACKET * _USB_PACKET
         self._held = Arrived(ends_ns[ready:], data[ready:])
-        return data[:ready]
+        return Arrived(ends_ns[:ready], data[:ready])
 
     def _steps(self, now_ns: int) -> Iterator[int]:
         """``now_ns``, and before it when one of several stations acts: what it sends may concern the others."""

@@ -49,6 +49,7 @@ class VirtualSerial:
         self.overrun = 0  # characters for which there was no room
         self._on_dtr = on_dtr
         self._port: VirtualPort | None = None
+        self._unread = 0
         self._plugged = True
 
     @property
@@ -86,9 +87,14 @@ class VirtualSerial:
             self._port.incoming += data[:room]
             self.overrun += max(0, len(data) - room)
 
+    def unread(self) -> int:
+        """Characters that it had not read when it closed the port."""
+        return self._unread
+
     def unplug(self) -> None:
         """Pull the adapter out: the open port is dead from now on."""
         self._plugged = False
+        self._unread = 0
         if self._port is not None:
             self._port.gone = True
             self._port = None
@@ -101,7 +107,7 @@ class VirtualSerial:
         """``port`` is closed."""
         self.look()
         if self._port is port:
-            self._port = None
+            self._port, self._unread = None, len(port.incoming)
 
     def spoke(self, data: bytes) -> None:
         """``data`` was written to the open port."""
@@ -338,6 +344,20 @@ class PtySerial:
         self._output += data[:room]
         self.overrun += max(0, len(data) - room)
         flush(self._master, self._output)
+
+    def unread(self) -> int:
+        """Characters that the user, who has closed the terminal, had not read: they stay in it."""
+        if self._master < 0:
+            return 0
+        try:
+            terminal = os.open(self._terminal, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # somebody else has it, and wants it alone
+            return 0
+        try:
+            (waiting,) = struct.unpack("i", fcntl.ioctl(terminal, termios.FIONREAD, bytes(4)))
+        finally:
+            os.close(terminal)
+        return int(waiting) + len(self._output)
 
     def unplug(self) -> None:
         """Pull the adapter out: who has the terminal open gets an end of file."""

@@ -78,8 +78,8 @@ class RtdeModel:
             self.names = payload[8:].decode().split(",")
             types = [self.lacks.get(n, OUTPUTS.get(n, ("NOT_FOUND",))[0]) for n in self.names]
             return bytes(["NOT_FOUND" not in types and "IN_USE" not in types]) + ",".join(types).encode()
-        assert letter == "S", f"{letter} would command it"
-        self.sends = self.names
+        assert letter in {"S", "P"}, f"{letter} would command it"
+        self.sends = self.names if letter == "S" else []
         return b"\1"
 
     def data(self, time_s: float, recipe: int = 1, **values) -> bytes:

@@ -116,7 +116,7 @@ def test_a_packet_is_refused_with_any_bit_wrong():
 def test_it_is_set_up_without_writing_what_it_has_and_its_packets_are_rows(up):
     up.stop()
     assert codes(up.batches) == ["stopped"]
-    assert up.asked == [command(number) for number in SET_UP]
+    assert up.asked == [command(number) for number in (*SET_UP, STOP)]
     for channel, value, unit in (("fx", 1.5, b"N"), ("tz", -0.25, b"N m")):
         rows = of(up.batches, channel)
         assert (rows["value_raw"] * rows["scale"]).tolist() == pytest.approx([value] * 3)
@@ -280,7 +280,7 @@ def test_a_silent_sensor_is_set_up_again(up):
     assert codes(up.batches) == ["silent"]
     up.packets(60)
     up.stop()
-    assert up.numbers == SET_UP
+    assert up.numbers == [*SET_UP, STOP]
     assert codes(up.batches) == ["silent", "bus_recovered", "stopped"]
     rows = of(up.batches, "fx")
     assert rows["status"].tolist()[:5] == [0, 0, 0, BAD | RESET, BAD]

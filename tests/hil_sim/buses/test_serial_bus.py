@@ -184,6 +184,40 @@ def test_what_comes_while_nobody_has_it_open_is_lost():
     assert port.in_waiting == pytest.approx(15 * 38, abs=38)
 
 
+def test_samples_that_were_not_read_before_a_port_was_closed_are_not_counted():
+    for latency_ns in (0, 16 * MS):
+        nimu = NimuTwin(StairImu(), RateClock(), START_NS)
+        rig = Rig(device=nimu, latency_ns=latency_ns)
+        rig.bus = SerialBus(rig.adapter, latency_ns=latency_ns)
+        rig.bus.add(nimu, lambda nimu=nimu: nimu.produced, len)
+        rig.run(500)
+        with rig.adapter.open(FAST) as port:
+            rig.run(1000)
+            read = port.read(port.in_waiting)
+            rig.run(40)
+            assert rig.bus.samples > 150
+        rig.run(10)
+        assert rig.bus.samples == len(read) // 38 > 140
+
+
+def test_samples_that_were_not_read_before_a_terminal_was_closed_are_not_counted():
+    link, nimu = PtySerial(), NimuTwin(StairImu(), RateClock(), START_NS)
+    bus = SerialBus(link)
+    bus.add(nimu, lambda: nimu.produced, len)
+    with serial.Serial(link.path, 115_200, timeout=0) as port:
+        for ms in range(1000):
+            bus.advance(START_NS + ms * MS)
+        read = port.read(4000)
+        for ms in range(1000, 1020):  # it does not read these
+            bus.advance(START_NS + ms * MS)
+        made = bus.samples
+    assert bus.samples == len(read) // 38 > 70
+    assert made > bus.samples
+    bus.advance(START_NS + 1020 * MS)
+    assert bus.samples == len(read) // 38
+    link.close()
+
+
 def test_buffers_can_be_emptied_and_overflow_is_counted():
     rig = Rig(device=NimuTwin(StairImu(), RateClock(), START_NS))
     port = rig.adapter.open(FAST)
