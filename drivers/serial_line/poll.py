@@ -6,6 +6,10 @@ a line one is silent, and its channels lack that sample.
 The value was sampled at some time between request and answer. SCALAR rows carry both stamps: ``tick`` is
 CLOCK_MONOTONIC ns just before the request was written, ``host_ns`` when the last byte of the answer was read. The error
 of their mean is at most half their difference, plus the device's filter delay.
+
+A device makes a sample when it hears a request, which only a valid answer shows: a gap is counted where each of its
+requests was refused. A request without an answer may have been lost on its way, or the device was off; bytes that make
+no answer may be noise, or a late answer to another request: a gap with such a request is an estimate.
 """
 
 from abc import abstractmethod
@@ -21,6 +25,7 @@ from drivers.serial_line.device import MS, Channels, Clock, OpenPort, ReceivedBy
 SETTLE_NS = 10 * MS  # silence required after invalid bytes
 UNANSWERED_TO_TELL = 5
 UNANSWERED_TO_REOPEN = 20
+REFUSED = "refused"  # cause of a gap: the answer is valid, and has no value
 
 
 class Value(NamedTuple):
@@ -83,7 +88,8 @@ class PolledDevice(SerialDevice):
         self._deadline_ns = 0  # of the answer
         self._next = 0  # sequence of the next row, if none is lost before it
         self._unanswered = 0  # requests since the last answer
-        self._cause = ""
+        self._cause = ""  # of the first of them
+        self._are_heard = True  # by a device that refused each of them
         self._last_ns: int | None = None  # of the last answer
         self._was_down = False  # the port was closed since the last answer
         self._is_aside = False  # the open request is no sample
@@ -189,7 +195,7 @@ class PolledDevice(SerialDevice):
         elif values:
             self._append(chunk.host_ns, values)
         else:
-            self._lose("refused")
+            self._lose(REFUSED)
 
     def _append(self, host_ns: int, values: list[Value], cause: str = "no_answer") -> None:
         """Record the answer to the open request; channels without a value lack it for ``cause``."""
@@ -207,6 +213,7 @@ class PolledDevice(SerialDevice):
         for untold in self._untold.values():
             if untold.following < self._next:
                 untold.cause = untold.cause or cause
+                untold.counted &= cause == REFUSED
         self._last_ns, self._asked_ns = host_ns, None
 
     def _give_up(self, now_ns: int, cause: str) -> bool:
@@ -223,11 +230,12 @@ class PolledDevice(SerialDevice):
         if self._asked_ns is not None and not self._is_aside:
             self._unanswered += 1
             self._cause = self._cause or cause
+            self._are_heard &= cause == REFUSED
         self._asked_ns = None
 
     def _count_lost(self, now_ns: int) -> None:
         """Number unanswered and unsent requests (without a period: at least one)."""
-        lost, counted = self._unanswered, not self._was_down
+        lost, counted = self._unanswered, self._are_heard and not self._was_down
         if self._was_down and self._last_ns is not None:
             period_ns = self._sample_period_ns
             lost = max(lost, round((now_ns - self._last_ns) / period_ns) - 1 if period_ns else 1)
@@ -236,7 +244,7 @@ class PolledDevice(SerialDevice):
             for untold in self._untold.values():
                 untold.cause = untold.cause or self._cause or "port_lost"
                 untold.counted = untold.counted and counted
-        self._unanswered, self._cause, self._was_down = 0, "", False
+        self._unanswered, self._cause, self._are_heard, self._was_down = 0, "", True, False
 
     def _name_gap(self, now_ns: int, channel: str) -> None:
         """Record as a gap what a channel lacks."""
@@ -248,9 +256,7 @@ class PolledDevice(SerialDevice):
             self._untold[channel] = _Channel(self._next, lacks.last_ns)
 
     def _finish(self, now_ns: int) -> None:
-        is_open = self._asked_ns is not None and not self._is_aside  # nobody knows whether its sample was made
         self._lose("stopped")
         self._count_lost(now_ns)
         for channel in self._value_channels():
-            self._untold[channel].counted &= not is_open
             self._name_gap(now_ns, channel)

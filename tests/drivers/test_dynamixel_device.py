@@ -143,7 +143,7 @@ def test_a_servo_that_is_silent_is_left_out_and_taken_back(clock, joint, fast):
         assert len(many) - len(few) > 400
     assert len(few) > 150
     (gap,) = of(flight.batches, "gap")[of(flight.batches, "gap")["channel"] == joint.name.encode()]
-    assert (gap["cause"], gap["counted"]) == (b"no_answer", 1)
+    assert (gap["cause"], gap["counted"]) == (b"no_answer", 0)  # nobody heard whether it made any
     assert 2.9e9 < gap["duration_ns"] < 4.3e9
 
 

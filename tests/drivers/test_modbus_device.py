@@ -187,6 +187,45 @@ def test_each_bad_answer_counts(flight):
     assert len(flight.rows()) > 15
 
 
+def refuses(flight):
+    flight.cell.exception = 2
+
+
+def spoils(flight):
+    receive = type(flight.cell).receive
+    flight.cell.receive = lambda request: receive(flight.cell, request)[:-1] + b"\0"
+
+
+def is_deaf(flight):
+    flight.cell.deaf = True
+
+
+@pytest.mark.parametrize(
+    ("faults", "counted"),
+    [((refuses,), 1), ((spoils,), 0), ((is_deaf,), 0), ((refuses, is_deaf), 0), ((is_deaf, refuses), 0)],
+)
+def test_losses_are_counted_where_a_valid_answer_came_to_each_request(clock, faults, counted):
+    """Else nobody knows whether the transmitter had the request, and made a sample."""
+    flight = Flight(clock)
+    flight.start()
+    flight.fly(60)
+    for fault in faults:
+        flight.cell.exception, flight.cell.deaf = 0, False
+        fault(flight)
+        flight.fly(250)
+    flight.cell.exception, flight.cell.deaf = 0, False
+    flight.cell.__dict__.pop("receive", None)
+    flight.fly(200)
+    refuses(flight)
+    flight.fly(50)
+    flight.cell.exception = 0
+    flight.fly(100)
+    first, second = of(flight.batches, "gap")
+    assert first["counted"] == counted
+    assert second["counted"] == 1  # an estimate before it does not matter
+    flight.rows()
+
+
 def test_a_port_that_is_gone_is_told_once_and_opened_again(flight):
     flight.fly(60)
     flight.port.broken = True
