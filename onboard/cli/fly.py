@@ -54,6 +54,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         vehicle, log = plan.vehicle, plan.log
         if plan.before is not None and vehicle.arm:
             raise ValueError("this start goes on with a flight that lost its power, and does not drive the arm: --new")
+    runner.require_new(log)
     if arguments.earlier:
         from onboard.ground.identify.replay import warm_start
         from onboard.recording.reader import LogReader

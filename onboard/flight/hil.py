@@ -182,7 +182,9 @@ def fly_realtime(vehicle: config.Vehicle, serve: list[str], log: Path, progress:
     Raises:
         FlightError: the devices or a worker did not start, or died.
         ConfigError: the vehicle cannot be used.
+        FileExistsError: there is such a log already, or what would be a segment of it.
     """
+    runner.require_new(log)
     with (
         scratch() as directory,
         subprocess.Popen(

@@ -1,13 +1,14 @@
 """Writes a flight's log in segments, each a complete log; the next one is opened in advance.
 
-A full segment is closed with its summary after its last row is on the medium; meanwhile rows go to the next one.
+A full segment is closed with its summary after its last row is on the medium; meanwhile rows go to the next one. Where
+its name is taken by a file of another origin, the next free one is used: the segment's own number, which its metadata
+says, continues without a gap.
 Metadata ``recorded`` at a segment's head gives the last recorded row of each channel, so that a recorder that takes
 over a log of any length reads one segment only.
 """
 
 import contextlib
 import errno
-import json
 import os
 import resource
 from collections.abc import Callable, Mapping
@@ -18,25 +19,32 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drivers.records import Rows
-from onboard.recording.format.decode import Decoder, MessageRun, rows_of
-from onboard.recording.format.errors import LogFormatError
-from onboard.recording.format.mcap_format import Attachment, Chunk
-from onboard.recording.format.scan import Damage, Scan
+from onboard.recording.format.mcap_format import Attachment
+from onboard.recording.format.scan import Scan
 from onboard.recording.format.segments import (
     END,
     METADATA,
     RECORDED,
     flight_or_none,
+    free_place,
     number_of,
+    ordinal,
     segment_path,
     segments,
     with_crc,
 )
-from onboard.recording.left import may_have_messages, recorded_at_end
+from onboard.recording.left import (
+    Progress,
+    is_torn,
+    may_be_of,
+    may_have_messages,
+    recorded_at_end,
+    recorded_since,
+)
 from onboard.recording.recorded import ChannelProgress, note
 from onboard.recording.seal import seal
 from onboard.recording.sink import FileSink, sync_directory
-from onboard.recording.writer import HEADER_BYTES, SYNC_INTERVAL_NS, LogWriter
+from onboard.recording.writer import SYNC_INTERVAL_NS, LogWriter
 
 _UNSEALED_AT_MOST = 3  # one that was being ended, one in use, one opened ahead
 _LOOKED_AT = 16  # segments before: a recorder may have died again before it sealed what others left
@@ -70,30 +78,6 @@ class Loss(NamedTuple):
     rows: dict[str, tuple[ChannelProgress, ChannelProgress]]  # by channel: the last row before those lost, their last
 
 
-class Progress(NamedTuple):
-    """How far a log is written: what a recorder leaves to the next one, so that this one need not read the log.
-
-    The last recorded row of each channel at ``offset`` of segment ``number``.
-    """
-
-    number: int
-    offset: int
-    recorded: dict[str, ChannelProgress]
-
-    def to_bytes(self) -> bytes:
-        """As JSON."""
-        return json.dumps(self).encode()
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self | None:
-        """What :meth:`to_bytes` gave; None where it is none."""
-        try:
-            number, offset, recorded = json.loads(data)
-            return cls(int(number), int(offset), {str(k): ChannelProgress(*map(int, v)) for k, v in recorded.items()})
-        except (ValueError, TypeError, AttributeError):
-            return None
-
-
 class SegmentedLog:
     """Log of one flight; same methods as ``LogWriter``.
 
@@ -104,6 +88,7 @@ class SegmentedLog:
         sync_interval_ns: least time between two fsyncs, on the clock given to ``sync``.
         open_sink: opens a segment.
         number: of the first segment to write.
+        place: least number in its file's name; of the first segment of a log it is 0.
         recorded: last recorded row of each channel in earlier segments.
         told: given the progress after each sync.
 
@@ -121,6 +106,7 @@ class SegmentedLog:
         sync_interval_ns: int = SYNC_INTERVAL_NS,
         open_sink: Callable[[Path], FileSink] = FileSink,
         number: int = 0,
+        place: int = 0,
         recorded: Mapping[str, ChannelProgress] | None = None,
         told: Callable[[Progress], object] = lambda progress: None,
     ) -> None:
@@ -131,13 +117,15 @@ class SegmentedLog:
         self.recorded: dict[str, ChannelProgress] = dict(recorded or {})
         self._end_said = False
         self._channels: dict[str, np.dtype[np.void]] = {}
-        self._number, self._ahead = number, number + 1
+        self._number = number
+        self._place = free_place(log, place) if number else 0
+        self._ahead = self._place + 1  # place of the next segment
         self._opened_ns: int | None = None
         self._open_again_ns = self._seal_ns = 0
         self._at_head = dict(self.recorded)  # of the segment in use
         self._losses: list[Loss] = []  # for the recorder to tell
         self._astray, self._why_not_ahead = False, ""  # nobody finds the file in use; why the next could not be opened
-        self._writer = self._open(number)
+        self._writer = self._open(number, self._place)
         self._ending: LogWriter | None = None
         self._next: LogWriter | None = None
         self._say_recorded()
@@ -166,17 +154,20 @@ class SegmentedLog:
         begin = partial(
             cls, log, preamble, limits=limits, sync_interval_ns=sync_interval_ns, open_sink=open_sink, told=told
         )
-        if progress is not None and (recorded := _recorded_since(log, progress)) is not None:
-            number = progress.number + 1
-            segment_path(log, number).unlink(missing_ok=True)  # opened ahead
-            resumed = begin(number=number, recorded=recorded)
-            before = range(max(0, number - _LOOKED_AT), number)
-            resumed._unsealed = [path for one in before if (path := segment_path(log, one)).exists()]
+        flight = preamble.flight
+        if progress is not None and (recorded := recorded_since(log, progress, flight)) is not None:
+            place = progress.place + 1
+            segment_path(log, place).unlink(missing_ok=True)  # opened ahead
+            resumed = begin(number=progress.number + 1, place=place, recorded=recorded)
+            before = (segment_path(log, one) for one in range(max(0, place - _LOOKED_AT), place))
+            resumed._unsealed = [path for path in before if path.exists() and may_be_of(path, flight)]
             return resumed
         found = [path for path in segments(log) if path.exists()]
-        flights = {flight for path in found if (flight := flight_or_none(path))}
-        if flights and preamble.flight not in flights:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(found[0]))
+        flights = {one for path in found if (one := flight_or_none(path))}
+        if flights and flight not in flights:
+            if log.exists():
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(found[0]))
+            found = []  # the log's own name is free: its segments go on past those of another flight
         for path in found[-_UNSEALED_AT_MOST:]:
             if Scan(path).truncated:
                 if path == found[0] or may_have_messages(path):
@@ -184,15 +175,16 @@ class SegmentedLog:
                 else:
                     path.unlink()  # opened ahead
                     found.remove(path)
-        number = number_of(found[-1]) + 1 if found else 0
-        if (torn := segment_path(log, number)).exists() and torn.stat().st_size <= HEADER_BYTES:
+        number = ordinal(found[-1]) + 1 if found else 0
+        place = max(map(number_of, found)) + 1 if found else 0
+        if is_torn(torn := segment_path(log, place)):
             torn.unlink()  # opened in advance, before its metadata was written
-        return begin(number=number, recorded=recorded_at_end(found))
+        return begin(number=number, place=place, recorded=recorded_at_end(found))
 
     @property
     def path(self) -> Path:
         """The current segment."""
-        return segment_path(self._log, self._number)
+        return segment_path(self._log, self._place)
 
     @property
     def failing(self) -> bool:
@@ -228,7 +220,7 @@ class SegmentedLog:
             if self._full(now_ns):
                 self._change(now_ns)
             self._look_after_files(now_ns)
-            self._told(Progress(self._number, self._writer.bytes_written, dict(self.recorded)))
+            self._told(Progress(self._number, self._place, self._writer.bytes_written, dict(self.recorded)))
             if self._unsealed and now_ns >= self._seal_ns:
                 self._seal(self._unsealed.pop())
         return synced
@@ -270,8 +262,8 @@ class SegmentedLog:
         size = self._limits.size if allowed == resource.RLIM_INFINITY else min(self._limits.size, allowed // 2)
         return now_ns - opened_ns >= self._limits.span_ns or self._writer.bytes_written >= size
 
-    def _open(self, number: int) -> LogWriter:
-        path = segment_path(self._log, number)
+    def _open(self, number: int, place: int) -> LogWriter:
+        path = segment_path(self._log, place)
         path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have removed it
         writer = LogWriter(self._open_sink(path), sync_interval_ns=self._sync_interval_ns)
         try:
@@ -292,12 +284,13 @@ class SegmentedLog:
         return writer
 
     def _open_ahead(self, now_ns: int) -> None:
-        """Open the next segment and sync its head; retried later if the disk fails."""
+        """Open the next segment at the next free name and sync its head; retried later if the disk fails."""
         if now_ns < self._open_again_ns:
             return
         self._open_again_ns = now_ns + _OPEN_AGAIN_NS
         try:
-            self._next, self._why_not_ahead = self._open(self._ahead), ""
+            self._ahead = free_place(self._log, self._ahead)
+            self._next, self._why_not_ahead = self._open(self._number + 1, self._ahead), ""
         except OSError as error:  # meanwhile the current segment grows beyond its limit
             self._why_not_ahead = str(error)
 
@@ -306,7 +299,8 @@ class SegmentedLog:
         if self._next is None or self._ending is not None:
             return
         self._ending, self._writer, self._next = self._writer, self._next, None
-        self._number, self._ahead, self._opened_ns = self._ahead, self._ahead + 1, now_ns
+        self._number, self._place, self._opened_ns = self._number + 1, self._ahead, now_ns
+        self._ahead += 1
         self._open_again_ns, self._at_head = 0, dict(self.recorded)
         self._say_recorded()
         self._end_segment()
@@ -320,9 +314,7 @@ class SegmentedLog:
         if self._next is not None and self._next.taken() is not None:
             self._next.abandon()
             self._next, self._open_again_ns = None, 0
-            while segment_path(self._log, self._ahead).exists():  # the one in use was renamed to this
-                self._ahead += 1
-            self._open_ahead(now_ns)
+            self._open_ahead(now_ns)  # past its name, where the one in use was renamed to that
         taken = self._writer.taken()
         if taken is None or self._ending is not None:
             return
@@ -365,28 +357,3 @@ class SegmentedLog:
         if self.recorded:
             marks = {name: f"{m.sequence} {m.host_ns}" for name, m in self.recorded.items()}
             self._writer.add_metadata(RECORDED, with_crc(RECORDED, marks))
-
-
-def _recorded_since(log: Path, progress: Progress) -> dict[str, ChannelProgress] | None:
-    """Last recorded row of each channel, by ``progress`` and the rows after it; None where they do not fit."""
-    path, ahead = (segment_path(log, number) for number in (progress.number, progress.number + 1))
-    further = segment_path(log, progress.number + 2)
-    if further.exists() or not path.exists() or path.stat().st_size < progress.offset:
-        return None
-    if ahead.exists() and may_have_messages(ahead):
-        return None
-    recorded, decoder = dict(progress.recorded), Decoder()
-    try:
-        for record in Scan(path, progress.offset).records():
-            if isinstance(record, Damage):
-                if record.end != Scan(path).size:
-                    return None
-            elif isinstance(record.content, Chunk):
-                rows: dict[str, list[MessageRun]] = {}
-                for run in decoder.runs(record.content.records):
-                    rows.setdefault(run.channel.name, []).append(run)
-                for channel, runs in rows.items():
-                    note(recorded, channel, rows_of(runs))
-    except LogFormatError:
-        return None
-    return recorded

@@ -27,8 +27,7 @@ from onboard.recording.format.wall_clock import FLIGHT_METADATA, utc_offset_ns
 from onboard.recording.sink import FileSink, FileTaken
 
 CHUNK_BYTES = 16384
-_HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
-HEADER_BYTES = len(_HEADER)
+HEADER = mcap_format.MAGIC + mcap_format.Header(mcap_format.PROFILE, mcap_format.LIBRARY).pack()
 SYNC_INTERVAL_NS = 150_000_000  # with steps of up to 50 ms nothing un-synced is ever older than 200 ms
 _NAME_BYTES = GAP["channel"].itemsize
 _MAX_UNSYNCED_BYTES = 4 << 20  # limit in memory; beyond it an fsync is made early
@@ -64,7 +63,7 @@ class LogWriter:
         self._failing = False
         self._summary = SummarySection()
         self._ended = self._closed = False
-        self._append(_HEADER)
+        self._append(HEADER)
 
     @classmethod
     def create(

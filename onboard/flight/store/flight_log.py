@@ -17,8 +17,9 @@ from onboard.flight.store.directories import write_private
 from onboard.flight.store.manifest import Manifest, Storage
 from onboard.native import library
 from onboard.recording.format.mcap_format import Attachment
+from onboard.recording.left import Progress
 from onboard.recording.recorder import Recorder
-from onboard.recording.segmented import Preamble, Progress, SegmentedLog, SegmentLimits
+from onboard.recording.segmented import Preamble, SegmentedLog, SegmentLimits
 from onboard.recording.sink import FileSink
 from onboard.recording.space import SpaceGuard
 from onboard.ring import RingReader

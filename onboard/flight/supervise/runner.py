@@ -36,7 +36,7 @@ from onboard.flight.supervise.runner_notify import Notifier
 from onboard.flight.supervise.runner_processes import HUNG_S, FlightError, Worker
 from onboard.flight.supervise.stop_signals import StopSignals
 from onboard.recording.format.errors import LogFormatError
-from onboard.recording.format.segments import segment_path, segments
+from onboard.recording.format.segments import continuing, segment_path, segments
 
 _LOOK_S = 0.1  # between two looks at a flight in which nobody says anything
 ESTIMATOR_ENDS_S = 10.0  # then the answer of its last finished step is the answer
@@ -79,9 +79,10 @@ def fly(
     Raises:
         FlightError: a worker did not start.
         ConfigError: the vehicle cannot be estimated.
-        FileExistsError: there is such a log already.
+        FileExistsError: there is such a log already, or what would be a segment of it.
         OSError: the log's directory or the rings cannot be made.
     """
+    require_new(log)
     with servers or Servers(vehicle) as its:
         return _flight(vehicle, log, its, duration_s, _Listeners(progress, ready, enough, status_s, plan))
 
@@ -119,10 +120,23 @@ def _flight(
     return flown._replace(log=log)
 
 
+def require_new(log: Path) -> None:
+    """See that neither ``log`` is there, nor a file whose name is that of a later segment of it.
+
+    Raises:
+        FileExistsError: with the remedy.
+    """
+    if any(map(os.path.lexists, (log, segment_path(log, 0)))):  # a link to nothing too
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(log))
+    if left := continuing(log):
+        text = f"{left} has the name of a later segment of {log.name}: name another log, or move that file away"
+        raise FileExistsError(text)
+
+
 def _require_place(log: Path) -> None:
     """Make the directory of ``log``, and raise OSError unless a new log can be written there."""
-    there = any(map(os.path.lexists, (log, segment_path(log, 0))))  # a link to nothing too
-    if there or log.absolute() in {one.log for one in manifest.waiting()}:
+    require_new(log)
+    if log.absolute() in {one.log for one in manifest.waiting()}:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(log))
     log.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(log.parent, os.W_OK | os.X_OK):

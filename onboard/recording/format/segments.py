@@ -8,6 +8,7 @@ whose head is damaged never for a neighbour.
 
 import glob
 import json
+import os
 import re
 import zlib
 from collections import Counter
@@ -93,7 +94,22 @@ def number_of(segment: Path) -> int:
     return int(numbered["number"]) if numbered else 0
 
 
-def _number(segment: Path) -> int:
+def free_place(log: Path, place: int) -> int:
+    """The first number from ``place`` on that no file beside has in its name, nor a link to nothing."""
+    while os.path.lexists(segment_path(log, place)):
+        place += 1
+    return place
+
+
+def continuing(log: Path) -> Path | None:
+    """A file whose name is that of a later segment of the log ``log``, whatever it is; None where there is none."""
+    if log.suffix != SUFFIX:
+        return None
+    beside = log.parent.glob(f"{glob.escape(log.stem)}_*{SUFFIX}")
+    return min((path for path in beside if _continues(path, log.stem)), default=None)
+
+
+def ordinal(segment: Path) -> int:
     """Number of a segment by its metadata, else by its name; 0 for a log without segments."""
     head = _head(segment)
     if head.number is not None:
@@ -103,7 +119,7 @@ def _number(segment: Path) -> int:
 
 def is_part(segment: Path) -> bool:
     """Whether the file is not the first of its log."""
-    return _number(segment) > 0
+    return ordinal(segment) > 0
 
 
 class Beside(NamedTuple):
@@ -125,8 +141,8 @@ def beside(part: Path) -> Beside:
     log = part.with_stem(numbered["stem"])
     if not log.exists() and part.parent.resolve().name == numbered["stem"]:
         log = part.parent
-    others = {path.name: _number(path) for path in segments(log) if path.exists() and path.name != part.name}
-    numbers = {_number(part), *others.values()}
+    others = {path.name: ordinal(path) for path in segments(log) if path.exists() and path.name != part.name}
+    numbers = {ordinal(part), *others.values()}
     missing = sorted(set(range(max(numbers))) - numbers)
     return Beside(tuple(part.with_name(name) for name in others), tuple(missing[:_MOST_NAMED]))
 

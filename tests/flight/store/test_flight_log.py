@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,35 @@ def test_a_start_that_is_refused_leaves_nothing(
     monkeypatch.setattr(rings, "create", refuse)
     assert cli.main(["fly", str(vehicle.path), "--log", str(tmp_path / "b" / "a.mcap")]) == cli.BAD_INPUT
     assert list((tmp_path / "rings").iterdir()) == []
+    assert manifest.waiting() == []
+
+
+@pytest.mark.parametrize("command", [["fly"], ["hil", "--realtime"]])
+@pytest.mark.parametrize("left", ["a.mcap", "a_001.mcap", "a_017.mcap"])
+def test_a_log_whose_name_or_that_of_a_segment_is_taken_is_refused_before_anything_starts(
+    vehicle: config.Vehicle,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: list[str],
+    left: str,
+) -> None:
+    def start(*_: object, **__: object) -> None:
+        raise AssertionError("something was started")
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(runner, "Servers", start)
+    place = tmp_path / "logs"
+    place.mkdir()
+    SegmentedLog(place / left, Preamble("earlier")).close()
+    before = (place / left).read_bytes()
+    assert cli.main([*command, "rocksat", "--log", str(place / "a.mcap")]) == cli.BAD_INPUT
+    said = capsys.readouterr().err
+    assert str(place / left) in said
+    assert "name another" in said
+    assert "Traceback" not in said
+    assert os.listdir(place) == [left]
+    assert (place / left).read_bytes() == before
     assert manifest.waiting() == []
 
 
