@@ -25,8 +25,8 @@ _KEPT: Final = 65_536  # newest characters handed over, and samples ended, whose
 class HostLink(Protocol):
     """The flight computer's serial port, seen from the line."""
 
-    asks: Callable[[bytes], bool]
-    """Whether a message of the flight computer asks for a sample."""
+    asks: Callable[[bytes], int]
+    """How many samples a message of the flight computer asks for."""
 
     messages: int
     """Times that the flight computer asked for one."""
@@ -182,7 +182,7 @@ class SerialBus:
         device: SerialStation,
         made: Callable[[], int] = lambda: 0,
         sample_length: Callable[[bytes], int] = lambda message: 0,
-        asks: Callable[[bytes], bool] | None = None,
+        asks: Callable[[bytes], int] | None = None,
     ) -> None:
         """Connect a device, or one more table of it.
 
@@ -193,7 +193,8 @@ class SerialBus:
                 last had it open; those that it could not hear because something broke included, but not those of
                 which the end is still under way, or was not read when it closed the port.
             sample_length: How many characters of a message make a sample; 0: it is none.
-            asks: Of a device that is asked: whether a message of the flight computer asks for a sample; None: each.
+            asks: Of a device that is asked: how many samples a message of the flight computer asks for; None: each for
+                one.
         """
         for wire in self._wires:
             if isinstance(wire.device, Joins):

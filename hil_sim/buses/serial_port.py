@@ -43,7 +43,7 @@ class VirtualSerial:
     def __init__(self, path: str, on_dtr: Callable[[bool], None] | None = None) -> None:
         self.path = path
         self.look: Callable[[], None] = lambda: None
-        self.asks: Callable[[bytes], bool] = bool
+        self.asks: Callable[[bytes], int] = bool
         self.messages = 0  # written to the port, that ask for a sample
         self.discarded = 0  # opening throws away what came before it
         self.overrun = 0  # characters for which there was no room
@@ -292,7 +292,7 @@ class PtySerial:
     is_live = True
 
     def __init__(self, link: Path | None = None) -> None:
-        self.asks: Callable[[bytes], bool] = bool
+        self.asks: Callable[[bytes], int] = bool
         self.messages = 0  # taken, that ask for a sample
         self.discarded = 0  # times that the user emptied the terminal's input
         self.overrun = 0  # characters for which there was no room

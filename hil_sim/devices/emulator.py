@@ -97,8 +97,8 @@ class Twin(NamedTuple):
         sample_length: On a serial line, where it talks unasked: bytes of a message that is a sample; 0 for others.
         pin: Its input for the sync line.
         drive_pin: Of the sync box: wires the sync line to an input.
-        asks: On a serial line, where it is asked: whether a message of the flight computer asks for a sample;
-            None: each does.
+        asks: On a serial line, where it is asked: how many samples a message of the flight computer asks for;
+            None: each for one.
         identifiers: On a CAN bus, where it talks unasked: by channel, of the message that is a sample.
     """
 
@@ -108,7 +108,7 @@ class Twin(NamedTuple):
     sample_length: Callable[[bytes], int] | None = None
     pin: Pin | None = None
     drive_pin: Callable[[Pin], None] | None = None
-    asks: Callable[[bytes], bool] | None = None
+    asks: Callable[[bytes], int] | None = None
     identifiers: Mapping[str, int] | None = None
 
 

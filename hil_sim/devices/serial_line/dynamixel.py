@@ -84,9 +84,10 @@ def _divided(value: int) -> int:
 _CRC_OF: Final = tuple(_divided(byte << 8) for byte in range(256))
 
 
-def asks(message: bytes) -> bool:
-    """Whether the flight computer asks for a sample of each servo."""
-    return message[7:8] in (bytes([_SYNC_READ]), bytes([_FAST_SYNC_READ]))
+def asks(message: bytes) -> int:
+    """How often the flight computer asks for a sample of each servo: packets may come together after a pause."""
+    packets = message.split(b"\xff\xff\xfd\x00")[1:]  # within a packet these bytes are stuffed
+    return sum(packet[3:4] in (bytes([_SYNC_READ]), bytes([_FAST_SYNC_READ])) for packet in packets)
 
 
 class DynamixelTwin(SerialTwin):

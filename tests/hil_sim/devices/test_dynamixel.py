@@ -384,3 +384,12 @@ def test_supply_and_input_faults():
 def test_a_fault_that_it_cannot_have_is_refused():
     with pytest.raises(FaultError):
         servo(0.0, 0.0, Fault("nack", "servo", 1.0))
+
+
+def test_requests_that_come_together_after_a_pause_are_counted_each():
+    ping = bytes.fromhex("FFFFFD00 01 0300 01 194E")  # the manual's example
+    read = bytes.fromhex("FFFFFD00 FE 0900 82 7E00 0A00 01 02 0000")
+    fast = bytes.fromhex("FFFFFD00 FE 0900 8A 7E00 0A00 01 02 0000")
+    assert [asks(message) for message in (b"", ping, read, fast)] == [0, 0, 1, 1]
+    assert asks(ping + read) == asks(read + ping) == 1
+    assert asks(read + fast) == 2
