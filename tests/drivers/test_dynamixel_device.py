@@ -321,10 +321,10 @@ def test_a_loss_that_is_counted_does_not_make_an_estimate_exact(flight):
     flight.fly(300)
     flight.port.broken = False
     flight.fly(1200)
-    flight.chain.servos[3].deaf = flight.chain.servos[7].deaf = True
+    flight.chain.servos[3].error = flight.chain.servos[7].error = 1  # they refuse each request: counted
     flight.fly(100)
     for servo in flight.chain.servos.values():
-        servo.deaf = False
+        servo.deaf, servo.error = False, 0
     flight.fly(2500)
     (gap,) = of(flight.batches, "gap")[of(flight.batches, "gap")["channel"] == b"wrist"]
     assert (gap["cause"], gap["counted"]) == (b"no_answer", 0)
@@ -338,3 +338,22 @@ def test_a_loss_that_is_counted_does_not_make_an_estimate_exact(flight):
 def test_servos_that_cannot_be_told_apart_are_refused(clock, joints):
     with pytest.raises(ConfigurationError):
         DynamixelBus("arm", joints, ScriptedSerial().open, clock)
+
+
+def test_requests_that_are_refused_after_one_without_an_answer_leave_an_estimate(flight):
+    flight.fly(300)
+    before = len(of(flight.batches, "gap"))
+    flight.chain.servos[4].deaf = True
+    flight.fly(40)  # it is still asked
+    flight.chain.servos[4].deaf = False
+    for servo in flight.chain.servos.values():
+        servo.error = 1
+    flight.fly(60)
+    for servo in flight.chain.servos.values():
+        servo.error = 0
+    flight.fly(300)
+    told = of(flight.batches, "gap")[before:]
+    counted = {gap["channel"]: int(gap["counted"]) for gap in told}
+    assert len(told) == len(counted)
+    assert counted[b"wrist"] == 0
+    assert counted[b"shoulder"] == 1
