@@ -25,7 +25,7 @@ from onboard.recording.format.errors import ChannelError, LogFormatError
 from onboard.recording.reader import LogReader
 from tests.flight.driven_bench import swings_csv
 
-SECONDS = 8.0  # of the motion
+SECONDS = 5.0  # of the motion
 BODY = ("m", "c_x", "c_y", "c_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 
 
@@ -104,7 +104,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
 
 def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
-    mission, log = world(vehicle, None, 8, 6.0, ["trip:joint_1:4:"]), tmp_path / "flight.mcap"
+    mission, log = world(vehicle, None, 8, 3.5, ["trip:joint_1:2.5:"]), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         armed = config.load(vehicle).model_copy(update={"arm": True})
         hil.fly_simulated(armed, mission, urls, log)

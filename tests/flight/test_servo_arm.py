@@ -13,7 +13,7 @@ from onboard.recording.reader import LogReader
 from tests.flight.driven_bench import swings_csv
 from tests.flight.test_driven_flight import flown, plugged
 
-SECONDS = 8.0  # of the motion
+SECONDS = 5.0  # of the motion
 TIMEOUT_MS = 50  # in real time each round crosses two processes, which a busy computer may hold up
 REAL_TIMING = f"sample_period_ms = 10\ntimeout_ms = {TIMEOUT_MS}"
 NEW = ("--joints", "2", "--encoder", "dynamixel")
@@ -43,7 +43,7 @@ def test_an_arm_of_driven_servos_tells_what_it_holds(tmp_path: Path) -> None:
     drives = [code.decode() for code in codes if code.startswith(b"drive_")]
     assert drives[:3] == ["drive_armed", "drive_started", "drive_done"]
     assert np.ptp(reader.read("joint_1")["value_raw"]) > 250
-    assert len(reader.read("joint_1_sent")) > 1000
+    assert len(reader.read("joint_1_sent")) > 700
     truth, rows = mission.truth()["quantities"], reader.read("quantity")
     [mass] = [row for row in rows[-20:] if row["name"] == b"m_payload"]
     assert abs(mass["value"] - truth["m_payload"]) < 3.0 * mass["sigma"]
@@ -72,8 +72,8 @@ def test_an_arm_that_hangs_in_gravity_tells_what_its_drives_and_payload_are(tmp_
 
 
 def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:
-    vehicle = written(tmp_path, 5.0)
-    mission, log = world(vehicle, None, 8, 7.0, ["unplug:tty_servos:3:5"]), tmp_path / "flight.mcap"
+    vehicle = written(tmp_path, 4.0)
+    mission, log = world(vehicle, None, 8, 5.0, ["unplug:tty_servos:2:3.5"]), tmp_path / "flight.mcap"
     with plugged(mission) as urls:
         hil.fly_simulated(config.load(vehicle).model_copy(update={"arm": True}), mission, urls, log)
     reader = LogReader(log)
@@ -83,8 +83,8 @@ def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Pa
     assert b"drive_done" not in codes
     assert b"bus_recovered" in codes
     rows = reader.read("joint_1")
-    assert rows["host_ns"][-1] - rows["host_ns"][0] > 6e9
-    after = rows["value_raw"][rows["host_ns"] > rows["host_ns"][0] + int(5.2e9)]
+    assert rows["host_ns"][-1] - rows["host_ns"][0] > 4e9
+    after = rows["value_raw"][rows["host_ns"] > rows["host_ns"][0] + int(3.7e9)]
     assert np.ptp(after) < 6  # it stands where its watchdog stopped it
 
 

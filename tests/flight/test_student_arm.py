@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from onboard import config
 from onboard.cli import OK, main
 from onboard.flight.estimate.problem.identification import build_identifier
@@ -26,7 +28,7 @@ def mass(run: Result) -> dict[str, float]:
 
 
 def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
-    run = flown(tmp_path, 9.0)
+    run = flown(tmp_path, 7.5)
     assert run.table["accounted"]
     told = mass(run)
     assert told["truth"] == 0.25
@@ -46,10 +48,11 @@ def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
         assert told_as in "; ".join(log["verdict"]["reasons"])
 
 
+@pytest.mark.campaign  # servos: test_servos; a cell: above; an IMU: test_bmi088_flight
 def test_what_is_unplugged_for_a_while_costs_its_rows_and_no_more(tmp_path: Path) -> None:
     """A servo, then the cell, then the IMU: each is named, comes back, and the mass stays inside its interval."""
-    away = [("joint_3", 2.5, 3.5), ("load_cell", 4.5, 5.5), ("imu_base", 6.5, 7.5)]
-    run = flown(tmp_path, 9.0, *({"kind": "off", "device": d, "start_s": a, "end_s": b} for d, a, b in away))
+    away = [("joint_3", 1.5, 2.2), ("load_cell", 3.0, 3.7), ("imu_base", 4.5, 5.2)]
+    run = flown(tmp_path, 6.0, *({"kind": "off", "device": d, "start_s": a, "end_s": b} for d, a, b in away))
     assert run.table["accounted"]
     assert any(text.startswith("joint_3: ") for text in run.events("silent"))
     assert any(text.startswith("joint_3: ") for text in run.events("recovered"))

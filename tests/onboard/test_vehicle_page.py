@@ -43,10 +43,15 @@ def test_no_table_of_the_file_is_left_out() -> None:
     }
 
 
+@pytest.fixture(scope="module")
+def validator() -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(schema.json_schema())
+
+
 @pytest.mark.parametrize("name", VEHICLES)
-def test_packaged_vehicles_are_valid_by_the_schema(name: str) -> None:
+def test_packaged_vehicles_are_valid_by_the_schema(name: str, validator: jsonschema.Draft202012Validator) -> None:
     tree = tomllib.loads(config.packaged(name).read_text(encoding="utf-8"))
-    assert list(jsonschema.Draft202012Validator(schema.json_schema()).iter_errors(tree)) == []
+    assert list(validator.iter_errors(tree)) == []
 
 
 @pytest.mark.parametrize(

@@ -197,16 +197,16 @@ def test_the_log_has_every_trial_and_what_the_drives_measured(directory, learned
 
 
 def test_gains_that_are_too_large_are_stopped_with_the_reason(directory):
-    made, world, _ = fly(directory, TrialRequest("learning_pd", 8, factor=8.0, **SHORT))
+    made, world, _ = fly(directory, TrialRequest("learning_pd", 4, factor=16.0, **SHORT))
     assert any(why in made.stopped for why in ("where it should be", "grows", "faster than its limit"))
     assert made.predicted[:, 1].max() > 1.0
-    assert len(made.of(TrialSetup.LEARNING)) < 8
+    assert len(made.of(TrialSetup.LEARNING)) < 4
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
     assert "error would grow" in " ".join(view.findings_of(made))
 
 
 def test_a_drive_that_faults_ends_the_trials(directory):
-    made, world, _ = fly(directory, TrialRequest("learning_pi", 3, **SHORT), faults=[Fault("trip", "drive_2", 5.0)])
+    made, world, _ = fly(directory, TrialRequest("learning_pi", 3, **SHORT), faults=[Fault("trip", "drive_2", 3.0)])
     assert "drive_2 reports 2310h" in made.stopped
     assert len(made.trials) < 5
     assert max(abs(rate) for rate in world.vehicle.rates_rad_s) < 1e-3
