@@ -92,6 +92,7 @@ def test_on_board_the_run_is_recorded_and_not_estimated(log: Path) -> None:
     assert not {"estimate", "quantity"} & set(made)
 
 
+@pytest.mark.campaign  # the fit: identification/table/test_air_bearing; a verdict of it: below
 def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
     log = write(tmp_path / "table.mcap", fly(np.random.default_rng(3), 4.0))
     text = TEXT.replace("accel_noise_m_s2 = 0.062", "accel_noise_m_s2 = 0.02")
@@ -103,7 +104,10 @@ def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
     assert not found.usable
 
 
-@pytest.mark.parametrize(("imu_until_s", "why"), [(5.02, "more"), (5.0, "of which the IMU has no reading")])
+@pytest.mark.parametrize(
+    ("imu_until_s", "why"),
+    [pytest.param(5.02, "more", marks=pytest.mark.campaign), (5.0, "of which the IMU has no reading")],
+)
 def test_an_answer_that_half_of_the_run_cannot_check_is_weak(
     read: SampledSignals, tmp_path: Path, imu_until_s: float, why: str
 ) -> None:

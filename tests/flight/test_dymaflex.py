@@ -83,6 +83,7 @@ def test_how_the_payload_came_is_told_or_how_badly_it_is_known(flown: Result) ->
     assert not {name.encode() for name in NAMES} & set(before["name"].tolist())
 
 
+@pytest.mark.campaign  # in flight: test_free_flyer
 def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, tmp_path: Path) -> None:
     """The kernel of dymaflex_parabolic, half down at 9 Hz: its poles are those of filterpy's steady-state filter."""
     packaged, path = config.packaged("dymaflex"), tmp_path / "flight.mcap"
@@ -165,7 +166,9 @@ def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_
     assert mass["low"] < flown.mass("m_payload")["truth"] < mass["high"]
 
 
-@pytest.mark.parametrize("fault", ["slipped:joint_2:8::3", "wrong:joint_2:8::0.05"])
+@pytest.mark.parametrize(
+    "fault", ["slipped:joint_2:8::3", pytest.param("wrong:joint_2:8::0.05", marks=pytest.mark.campaign)]
+)
 def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Path, fault: str) -> None:
     """While the payload is held, on board and afterwards: it is told, and another scale is named."""
     kind, device, start_s, _, value = fault.split(":")
@@ -185,6 +188,7 @@ def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Pa
     assert any("joint_2: its angle jumps" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.campaign  # of ticks: test_recursive_changes
 def test_a_payload_that_loses_a_part_is_followed_and_told(tmp_path: Path) -> None:
     lost = {"at_s": 9.5, "mass_kg": 0.6, "centre_m": [0.05, 0.0, 0.1]}
     flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **SHORT, lost_part=lost)

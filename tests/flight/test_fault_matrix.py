@@ -18,10 +18,14 @@ FLOWN = {  # and whatever shares their flights
     ("rocksat", "imu_base", "stuck"),
     ("rocksat", "arm_phase", "silent"),
     ("rocksat_serial", "joint_1", "reset"),
-    ("rocksat_serial", "load_cell", "delayed"),
     ("rocksat_mixed", "joint_1", "silent"),
 }
-MORE = {("rocksat", "imu_base", "garbage"), ("rocksat", "joint_1", "slow"), ("rocksat_serial", "cell_port", "unplug")}
+MORE = {
+    ("rocksat", "imu_base", "garbage"),
+    ("rocksat", "joint_1", "slow"),
+    ("rocksat_serial", "cell_port", "unplug"),
+    ("rocksat_serial", "load_cell", "delayed"),
+}
 
 
 def with_any(flight: tuple[Cell, ...], wanted: set[tuple[str, str, str]]) -> bool:

@@ -57,6 +57,7 @@ def test_an_encoder_that_becomes_another_one_when_enough_was_seen_leaves_answers
     assert held["standing"].startswith("weak: joint_1: its angle jumps between two samples")
 
 
+@pytest.mark.campaign  # later: above; at any time: test_jump_watch
 def test_an_encoder_that_becomes_another_one_early_leaves_no_answer(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat", fault("wrong", "joint_1", 0.3, 3.62))
     [said] = flown.events("angle_jumped")
@@ -124,6 +125,7 @@ def test_a_slice_of_the_campaign_holds_no_confident_nonsense() -> None:
     assert not flown.nonsense
 
 
+@pytest.mark.campaign  # of rows: test_cells_and_releases
 def test_of_two_cells_that_differ_by_5_percent_the_answer_holds_both_and_identify_says_it_too(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat_mixed", fault("wrong", "load_cell", 0.05, 0.0))
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])

@@ -9,7 +9,7 @@ from tests.flight.test_rehearsal import answers, honest
 CELL = ["--base", "fixed", "--joints", "2", "--load-cell", "hx711"]
 
 
-@pytest.mark.parametrize("rate", [80, 10])
+@pytest.mark.parametrize("rate", [pytest.param(80, marks=pytest.mark.campaign), 10])
 def test_a_cell_on_an_hx711_is_weighed_with(tmp_path, rate):
     change = ("sample_rate_hz = 80 ", f"sample_rate_hz = {rate} ")
     result, log, _ = rehearsed(tmp_path, CELL, change=change)

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 from onboard import config
@@ -32,6 +34,7 @@ def test_two_kilograms_are_told_within_two_per_cent(tmp_path: Path) -> None:
     assert len([row for row in told if row["quantity"].endswith("_payload")]) == 10
 
 
+@pytest.mark.campaign  # weighing with boxes: test_wrist_flights; what a line lost is counted: test_wrist_box
 def test_a_sensor_with_its_own_box_weighs_as_well_and_what_its_cable_lost_is_counted(tmp_path: Path) -> None:
     """The same arm; the box by UDP, its own oscillator and rate, 0.4 s of it lost."""
     arm = tmp_path / "lab_ur"

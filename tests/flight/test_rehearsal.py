@@ -116,6 +116,7 @@ def test_an_arm_with_a_cell_that_rests_before_it_moves(tmp_path):
     assert rows["MY_payload"]["supported"]
 
 
+@pytest.mark.campaign  # currents and friction: test_lab_arm, test_student_arm; a URDF of its own: above
 def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
     """Torques of CiA 402 drives in gravity: friction and the groups that gravity and motion determine."""
     init = ["--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf")]

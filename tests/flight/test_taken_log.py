@@ -50,6 +50,7 @@ def test_a_rehearsal_whose_log_is_removed_says_what_is_lost_and_keeps_the_rest(t
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.campaign  # a log that is removed: above; one that is cut off in flight: test_kill
 def test_a_rehearsal_whose_log_is_cut_off_says_what_is_lost(tmp_path: Path) -> None:
     code, _, err, log = rehearse(tmp_path, take=lambda log: os.truncate(log, 150_000))
     assert code == cli.FAILED

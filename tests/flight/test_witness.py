@@ -91,7 +91,7 @@ def test_a_healthy_flight_leaves_nothing_out(flown: Result) -> None:
     assert mass["sigma"] < 0.006 * MASS_kg  # 0.009 without the wrist cell
 
 
-@pytest.mark.parametrize("factor", [0.7, 0.5])
+@pytest.mark.parametrize("factor", [0.7, pytest.param(0.5, marks=pytest.mark.campaign)])
 def test_a_wrist_cell_of_a_wrong_scale_is_left_out_from_the_start_or_after_a_capture(
     flown: Result, factor: float
 ) -> None:
@@ -113,7 +113,7 @@ def test_a_wrist_cell_of_a_wrong_scale_is_left_out_from_the_start_or_after_a_cap
     [
         ("load_cell", "value_raw", 1.1, 10.0),
         pytest.param("imu_2", "gyro_raw", 0.7, -1.0, marks=pytest.mark.campaign),
-        ("imu_base", "gyro_raw", 0.7, 11.0),
+        pytest.param("imu_base", "gyro_raw", 0.7, 11.0, marks=pytest.mark.campaign),
     ],
 )
 def test_an_instrument_whose_scale_is_wrong_from_the_start_or_changes_in_flight_is_left_out(

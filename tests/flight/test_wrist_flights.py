@@ -35,8 +35,8 @@ def seconds_of(log):
 @pytest.mark.parametrize(
     ("kind", "usual", "rate", "seconds"),
     [
-        ("bota_ft", 400, 800, 6.4),  # the first second it starts
-        pytest.param("bota_ft", 400, 100, 6.4, marks=pytest.mark.campaign),
+        ("bota_ft", 400, 100, 6.4),  # the first second it starts
+        pytest.param("bota_ft", 400, 800, 6.4, marks=pytest.mark.campaign),
         pytest.param("robotous_rft", 200, 333, 7.0, marks=pytest.mark.campaign),
         pytest.param("onrobot_hex", 500, 1000, 7.3, marks=pytest.mark.campaign),
     ],
@@ -82,6 +82,7 @@ def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_li
     assert set(log.read("gap")["cause"].tolist()) >= {b"port_lost", b"frames_lost"}
 
 
+@pytest.mark.campaign  # the driver: test_onrobot_hex; a box by UDP: test_wrist_box
 def test_an_onrobot_hex_survives_unplugging_and_brown_out_and_is_set_up_anew(tmp_path):
     faults = ["unplug:box:2:2.4", "unplug:box:3:4.5", "off:mz:5.5:5.8", "wrong:fz:8:8.1:1e5", "garbage:my:8.6:8.7"]
     _, log, codes = flown(tmp_path, "onrobot_hex", *faults, rest=3.0)

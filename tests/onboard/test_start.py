@@ -42,7 +42,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
     ("command", "code", "without", "most", "validators"),
     [
         ("hil dymaflex --faults", 0, _HEAVY, 1213, 10),
-        ("hil rocksat --faults", 0, _HEAVY, 1213, 10),
+        pytest.param("hil rocksat --faults", 0, _HEAVY, 1213, 10, marks=pytest.mark.campaign),
         ("hil rocksat_serial --faults", 0, [*_HEAVY, "can"], 1123, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 883, 0),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1000, 1),

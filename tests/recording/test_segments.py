@@ -161,7 +161,12 @@ def test_a_disk_that_refuses_while_a_segment_is_ended_loses_nothing(tmp_path, op
 
 @pytest.mark.parametrize(
     ("name", "ago"),
-    [("flight.mcap", None), pytest.param("flight", None, marks=pytest.mark.campaign), ("flight", 1), ("flight", 6)],
+    [
+        ("flight.mcap", None),
+        pytest.param("flight", None, marks=pytest.mark.campaign),
+        ("flight", 1),
+        pytest.param("flight", 6, marks=pytest.mark.campaign),
+    ],
 )
 def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written(tmp_path, name, ago):
     """As ``kill -9`` leaves it: every file as far as it was written, the last one cut anywhere.

@@ -171,6 +171,7 @@ def test_cells_of_the_other_sign_are_named(workshop):
     assert "turn the sign of each `axis`" in judged.verdict.text
 
 
+@pytest.mark.campaign  # by a table of poses: test_weigh; all axes: above
 def test_one_axis_of_the_other_sign_is_named(workshop):
     live, _ = session(workshop)
     Wrist(live, 12, readings=lambda f, m: (f * [1.0, -1.0, 1.0], m)).poses(14)

@@ -18,11 +18,11 @@ from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, holds, record, tur
         (("roll", "pitch", "yaw"), ("XYZ", 1.0), ()),
         (("A", "B", "C"), ("ZYX", 1.0), ()),
         (("rx", "ry", "rz"), ("rotvec", np.pi / 180.0), ()),
-        (("rx", "ry", "rz"), ("XYZ", 1.0), ("--orientation", "XYZ")),
+        pytest.param(("rx", "ry", "rz"), ("XYZ", 1.0), ("--orientation", "XYZ"), marks=pytest.mark.campaign),
         (("euler_x", "euler_y", "euler_z"), ("xyz", 1.0), ()),
         (("phi", "theta", "psi"), ("ZYZ", 1.0), ("--orientation", "ZYZ")),
         (("tool_phi [deg]", "tool_theta [deg]", "tool_psi [deg]"), ("ZYZ", 1.0), ()),
-        (("phi", "theta", "psi"), ("xyz", 1.0), ("--orientation", "ZYX")),
+        pytest.param(("phi", "theta", "psi"), ("xyz", 1.0), ("--orientation", "ZYX"), marks=pytest.mark.campaign),
         (("alpha", "beta", "gamma"), ("ZYX", 1.0), ("--orientation", "ZYX")),
     ],
 )

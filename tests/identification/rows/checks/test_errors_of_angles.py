@@ -101,7 +101,7 @@ def test_noise_of_coarse_encoders_is_not_in_the_answers(monkeypatch):
     assert np.sqrt(np.nanmean(np.square(off))) < 1.1
 
 
-@pytest.mark.parametrize("heavy", [True, False])
+@pytest.mark.parametrize("heavy", [pytest.param(True, marks=pytest.mark.campaign), False])
 def test_encoders_of_magnets_beside_their_axes_are_no_other_fault(heavy):
     """By 14 mrad, as a data sheet allows. Unstated it was zeros and scales of all joints, and answers 4 sigmas off."""
     body = HEAVY if heavy else TOOL
