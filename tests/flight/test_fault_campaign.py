@@ -15,12 +15,12 @@ FOUND = [  # seed, mission, what broke; all of these have lost something without
     (64103, "rocksat", "flood:can_0:1.5247:1.7589:128"),  # frames of SYNC's identifier that are no SYNCs
     (64270, "rocksat_serial", "byte_loss:imu_port:6.6072::0.02221"),
     (64844, "rocksat", "silent:arm_phase:1.5683:"),  # until the end: several changes that nobody heard
-    (64866, "dymaflex", "bus_off:can_0:0:0.0246"),  # before the first SYNC
     (66064, "rocksat_mixed", "frame_drop:can_0:0::387"),  # what a node sends as it is started
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "unplug:can_0:5:7"),
 ]
 MORE = [
+    (64866, "dymaflex", "bus_off:can_0:0:0.0246"),  # before the first SYNC
     (685, "rocksat_mixed", "silent:arm_phase:2.094:3.301"),  # a change that its node did not send
     (64266, "rocksat_serial", "byte_loss:arm_port:2.4381::0.03258"),  # the last samples of a line
     (64568, "rocksat_mixed", "intermittent:can_0:0:1.2804:0.06429 silent:arm_phase:1.4002:1.4734"),  # started late

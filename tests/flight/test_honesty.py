@@ -101,6 +101,7 @@ def test_a_cell_of_the_wrong_sign_finds_no_body(tmp_path: Path) -> None:
     assert "m_arm is -0.2" in flown.mass("m_tip_mass")["standing"]
 
 
+@pytest.mark.campaign  # of rows: test_cells_and_releases
 def test_a_release_that_is_told_by_a_glitch_is_outvoted_and_the_true_one_is_not(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat", fault("wrong", "arm_phase", 1.0, 3.5, end_s=4.0))
     assert len(flown.events("release_contradicted")) == 1

@@ -16,6 +16,7 @@ WITH_CELL = [*ARM, "--load-cell", "nau7802"]
 CHANNELS = ("joint_1", "joint_1_torque", "joint_2", "joint_2_torque")
 
 
+@pytest.mark.campaign  # by their currents: test_student_arm
 def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     result, log, _ = rehearsed(tmp_path, ARM, swing=8.0, seed=6)
     honest(answers(result))
@@ -28,7 +29,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     assert codes_of(log, b"joint_2") == [b"identified"]
 
 
-@pytest.mark.campaign  # by currents above, by a bridge with AS5600s and AS5048s
+@pytest.mark.campaign  # by currents: test_student_arm; by a bridge: test_as5048_flight
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
     result, _, _ = rehearsed(tmp_path, WITH_CELL, rest=3.0, swing=14.0, seed=6)
     honest(answers(result))

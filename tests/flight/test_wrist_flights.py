@@ -70,15 +70,15 @@ def test_a_bota_ft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tm
 
 def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tmp_path):
     faults = [
-        *("unplug:tty_wrist:2:2.3", "reset:fx:4", "silent:fy:7:7.2"),
-        *("byte_loss:tty_wrist:7.4:7.9:0.002", "saturated:fz:8.3:8.5:1", "garbage:my:8.6:8.7"),
+        *("unplug:tty_wrist:1:1.3", "reset:fx:2", "silent:fy:4.2:4.4"),
+        *("byte_loss:tty_wrist:4.6:5.1:0.002", "saturated:fz:5.4:5.6:1", "garbage:my:5.7:5.8"),
     ]
-    _, log, codes = flown(tmp_path, "robotous_rft", *faults, rest=3.0)
+    _, log, codes = flown(tmp_path, "robotous_rft", *faults, rest=1.5, swing=4.5)
     assert (codes.count(b"bus_error"), codes.count(b"silent"), codes.count(b"bus_recovered")) == (1, 1, 2)
     assert codes.count(b"sensor_status") == codes.count(b"sensor_normal") == 1
     assert number_of(log, SampleStatus.AFTER_RESET) >= 3
     assert number_of(log, SampleStatus.SATURATED) == pytest.approx(40, abs=2)
-    assert seconds_of(log) > 8.5
+    assert seconds_of(log) > 5.5
     assert set(log.read("gap")["cause"].tolist()) >= {b"port_lost", b"frames_lost"}
 
 

@@ -67,11 +67,12 @@ def test_a_bit_in_every_chunk_in_turn_costs_that_chunk_and_is_told_to_the_row(tm
     assert sorted(lost_in_all) == list(range(logs.SMALL))  # each row is in one chunk, and lost with it alone
 
 
-def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monkeypatch):
+@pytest.mark.parametrize("step", [37, pytest.param(13, marks=pytest.mark.campaign)])
+def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monkeypatch, step):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     data = small.read_bytes()
     codes = set()
-    for size in range(0, len(data), 13):
+    for size in range(0, len(data), step):
         logs.overwrite(small, data[:size])
         output = tmp_path / "out.mcap"
         readable = size >= 8 and any(len(LogReader(small).read(n)) for n in LogReader(small).channels)
