@@ -48,7 +48,7 @@ def test_a_scale_that_jumps_in_mid_flight_withdraws_the_answers(tmp_path: Path) 
 
 
 def test_an_encoder_that_becomes_another_one_when_enough_was_seen_leaves_answers_of_before(tmp_path: Path) -> None:
-    flown = lied_to(tmp_path, "rocksat", fault("wrong", "joint_1", 0.3, 7.5), sequence=MISSION)
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "joint_1", 0.3, 7.5))
     [said] = flown.events("angle_jumped")
     assert said.endswith("no row from there on is used")
     [held] = [one for one in flown.table["inertias"] if one["quantity"] == "ZZ_joint_1_R_held"]

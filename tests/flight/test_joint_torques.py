@@ -52,7 +52,7 @@ def flight(vehicle: config.Vehicle, path: Path, changes: dict[str, Any], swing_s
 
 @pytest.fixture(scope="module")
 def flown(vehicle: config.Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return flight(vehicle, tmp_path_factory.mktemp("healthy") / "flight.mcap", {}, 8.0)
+    return flight(vehicle, tmp_path_factory.mktemp("healthy") / "flight.mcap", {}, 6.0)
 
 
 def covered(result: Result) -> tuple[int, int]:
