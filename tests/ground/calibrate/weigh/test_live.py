@@ -155,6 +155,7 @@ def test_a_tool_that_swings_is_waited_for(workshop):
     assert any(re.search(r"wrist_\w+ moves by .* let the tool come to rest", line) for line in told)
 
 
+@pytest.mark.campaign  # by a table of poses: test_weigh; a verdict of live poses: below
 def test_a_stuck_axis_is_named(workshop):
     live, _ = session(workshop)
     Wrist(live, 9, readings=lambda f, m: (f * [0.0, 1.0, 1.0], m), noise=0.0).poses(7)
