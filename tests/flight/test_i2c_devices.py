@@ -107,6 +107,7 @@ def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
         assert set(rows["device_status"]) == {0x20}
 
 
+@pytest.mark.campaign  # of AS5048s: test_as5048_flight; the driver: test_as5600, test_magnets
 def test_a_magnet_that_comes_loose_is_named_and_its_samples_are_not_used(tmp_path):
     faults = [
         *("--fault", "field:joint_1:2:3:-0.7", "--fault", "field:joint_2:3:3.5:-1", "--fault", "off:joint_2:4:4.5"),
@@ -136,6 +137,7 @@ def test_the_samples_of_an_icm20948_are_put_on_the_time_when_they_were_made(mixe
     assert np.abs(late_ns).max() < 3.0 * sigma_ns
 
 
+@pytest.mark.campaign  # with a BMI088: test_bmi088_flight; the driver: test_icm20948
 def test_a_free_arm_with_an_icm20948_weighs_and_survives_its_unplugging(tmp_path):
     faults = [
         *("--fault", "off:imu_base:1.5:2.5", "--fault", "nack:imu_base:3.5:3.8", "--fault", "timeout:imu_base:4.5:4.6"),
