@@ -42,7 +42,7 @@ SEQUENCE = [
     {
         "phase": 1,
         "action": "swing",
-        "duration_s": 13.0,
+        "duration_s": 12.0,
         "ramp_s": 1.5,
         "swing": 0.274,
         "tones": 3,
