@@ -15,7 +15,7 @@ from onboard.flight.estimate.problem.model import build_model
 
 PAGE = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
 COMMANDS = [line.removeprefix("heft ") for line in re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()]
-SLOWER = (("sample_rate_hz = 1000", "sample_rate_hz = 200"), ("poll_period_ms = 20", "poll_period_ms = 50"))
+SLOWER = (("sample_rate_hz = 1000", "sample_rate_hz = 200"), ("poll_period_ms = 20", "poll_period_ms = 100"))
 
 
 def comments(text):
