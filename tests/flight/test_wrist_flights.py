@@ -82,7 +82,7 @@ def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_li
     assert set(log.read("gap")["cause"].tolist()) >= {b"port_lost", b"frames_lost"}
 
 
-@pytest.mark.campaign  # the driver: test_onrobot_hex; a box by UDP: test_wrist_box
+@pytest.mark.campaign  # the driver: test_net_ft, test_serial_laws; a box by UDP: test_wrist_box
 def test_an_onrobot_hex_survives_unplugging_and_brown_out_and_is_set_up_anew(tmp_path):
     faults = ["unplug:box:2:2.4", "unplug:box:3:4.5", "off:mz:5.5:5.8", "wrong:fz:8:8.1:1e5", "garbage:my:8.6:8.7"]
     _, log, codes = flown(tmp_path, "onrobot_hex", *faults, rest=3.0)

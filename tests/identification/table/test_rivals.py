@@ -46,7 +46,7 @@ def test_encoders_as_stated_are_not_blamed_and_the_answer_is_that_of_the_fit(sig
         (4, "scale", 0.4, "a step of scale_joint_5"),
         pytest.param(4, "scale", 0.0, "scale_joint_5", marks=pytest.mark.campaign),  # as below
         pytest.param(2, "zero", 0.0, "zero_joint_3", marks=pytest.mark.campaign),  # test_air_bearing has it
-        pytest.param(1, "delay", 0.0, "delay_joint_2", marks=pytest.mark.campaign),  # a column as the others
+        (1, "delay", 0.0, "delay_joint_2"),
     ],
 )
 def test_what_is_wrong_is_named_and_the_payload_told_inside_its_interval(signals, joint, error, since, name):
