@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
@@ -49,7 +49,7 @@ def line(known: FloatArray, reading: FloatArray, known_sigma: FloatArray, readin
     alone = 1.0 - np.einsum("ki,ij,kj->k", rows, covariance, rows)  # share of its own error that a residual shows
     freedom = len(x) - 2
     squares = float(whitened @ whitened)
-    if freedom and chi2.sf(squares, freedom) < of_each(REFUSE):
+    if freedom and chdtrc(freedom, squares) < of_each(REFUSE):
         deleted = np.abs(whitened) / np.sqrt(alone.clip(1e-9))
         worst = int(deleted.argmax())
         raise CalibrationError(
@@ -138,7 +138,7 @@ def balance(
     if not x[0] > 0.0:
         raise CalibrationError(f"a mass of {x[0]:.3g} kg; check the cell's sign and the direction of gravity")
     freedom = len(A) - 4
-    if freedom and chi2.sf(float(residual @ residual), freedom) < of_each(REFUSE):
+    if freedom and chdtrc(freedom, float(residual @ residual)) < of_each(REFUSE):
         worst = int(np.abs(residual).argmax())
         raise CalibrationError(
             f"orientation {worst + 1} is {abs(residual[worst]):.0f} sigmas off the others; repeat it"

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from onboard import config
 from onboard.estimation.arrays import FloatArray
@@ -199,14 +199,14 @@ def _solved(rows: list[_Row], drawn: FloatArray, drawn_sigma_m: float | None) ->
     covariance = np.linalg.inv(H)
     centre = covariance @ right
     left, freedom = b - A @ centre, len(rows) - rank
-    if freedom and chi2.sf(float(left @ left), freedom) < of_each(REFUSE):
+    if freedom and chdtrc(freedom, float(left @ left)) < of_each(REFUSE):
         worst = rows[int(np.abs(left).argmax())].name
         raise CalibrationError(f"{worst} contradicts the others by {np.abs(left).max():.0f} sigmas; repeat it")
     if drawn_sigma_m is not None:
         off = A @ drawn - b
         spread = np.eye(len(rows)) + drawn_sigma_m**2 * (A @ A.T)
         squares = float(off @ np.linalg.solve(spread, off))
-        if chi2.sf(squares, len(rows)) < of_each(REFUSE):
+        if chdtrc(len(rows), squares) < of_each(REFUSE):
             culprit = rows[int(np.abs(off / np.sqrt(np.diag(spread))).argmax())]
             far = abs(float(culprit.way @ drawn) - culprit.at_m)
             raise CalibrationError(
@@ -231,7 +231,7 @@ def _mass(
     weight = own**-2.0 / (own**-2.0).sum()
     mass = float(weight @ sums)
     left = float((((sums - mass) / own) ** 2).sum())
-    if len(sums) > 1 and chi2.sf(left, len(sums) - 1) < of_each(REFUSE):
+    if len(sums) > 1 and chdtrc(len(sums) - 1, left) < of_each(REFUSE):
         worst = int(np.abs((sums - mass) / own).argmax())
         raise CalibrationError(f"scales {worst + 1} weighs {sums[worst]:.4g} kg, all together {mass:.4g} kg; repeat it")
     sigma = float(np.hypot((own**-2.0).sum() ** -0.5, held.scale_relative * mass))

@@ -14,7 +14,7 @@ from rich.console import Group, RenderableType
 from rich.progress import Progress
 from rich.table import Column, Table
 from rich.text import Text
-from scipy import stats
+from scipy.special import chdtrc
 
 from onboard.estimation.policy import HALF
 from onboard.ground.log.views.info import LogInfo, info
@@ -124,7 +124,7 @@ def compared_quantity(name: str, answers: Sequence[dict[str, np.void]]) -> Compa
         return ComparedQuantity(name, unit, tuple(value), tuple(sigma), np.nan, np.nan, None, None)
     weight = 1.0 / s**2
     mean, sigma_mean = (float(np.sum(weight * one) / np.sum(weight)) for one in (x, s))
-    chance = float(stats.chi2.sf(np.sum(weight * (x - mean) ** 2), len(x) - 1)) if len(x) > 1 else None
+    chance = float(chdtrc(len(x) - 1, np.sum(weight * (x - mean) ** 2))) if len(x) > 1 else None
     trend = None
     if len(x) > 2:  # weighted straight line over the flights' numbers
         centred = at - np.sum(weight * at) / np.sum(weight)
