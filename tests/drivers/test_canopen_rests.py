@@ -107,3 +107,11 @@ def test_a_guarded_bus_rests_until_its_next_question(clock):
         rests_ms.append((bench.device.rests_until(clock()) - clock()) / MS)
     assert bench.nodes[1].guarded > 20
     assert max(rests_ms) <= 15.0
+
+
+def test_frames_of_some_time_are_read_at_once_but_while_a_node_is_asked(clock):
+    bench = Bench(clock, lambda port: CanopenBus(port, [JOINT], SyncConfig(), "can_0"), Encoder())
+    bench.device.start(clock())
+    assert bench.device.coalesces_ns == 0, "its set-up"
+    bench.start()
+    assert bench.device.coalesces_ns == 50 * MS
