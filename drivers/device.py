@@ -5,6 +5,8 @@ from typing import Protocol, runtime_checkable
 
 from drivers.records import Batch
 
+COALESCED_NS = 50_000_000  # of what a port stamps itself, read at once
+
 
 class Device(Protocol):
     """A device (or a bus of devices) that turns bytes from its port into records.

@@ -15,6 +15,7 @@ from drivers.canopen_pdo.profiles.sync_channel import SyncChannel
 from drivers.canopen_pdo.rounds import Rounds, cut_at_stalls
 from drivers.canopen_pdo.sync import SyncConfig, SyncCounter
 from drivers.canopen_pdo.sync_rows import SyncRows
+from drivers.device import COALESCED_NS
 from drivers.errors import ConfigurationError, FrameError
 from drivers.ports import CanFrame, CanPort
 from drivers.records import Batch, Severity
@@ -25,7 +26,6 @@ STALLED = 100.0  # SYNC periods without SYNC after which all waiting frames are 
 MOST_RECEIVES = 64
 SYNC_LIMIT_NS = 1_000_000_000
 STOOD_NS = 500_000_000  # between two pumps: the process stood still (SIGSTOP), or got no CPU
-COALESCED_NS = 50_000_000  # of frames at once while no node waits for an answer
 PLAYING_S = 0.005  # longest wait for a frame while drives are driven
 REST_S, RESTS, SILENT_RESTS = 0.01, 150, 3  # receives in ``stop``, until the drives have stopped
 LONGEST_REST_NS = 100_000_000  # a tenth of the heartbeats' limit, and a fifth of the time between two checks

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.device import COALESCED_NS
 from drivers.ports import Edge, PulsePort
 from drivers.records import PULSE, Batch, Severity
 from drivers.reporter import Reporter
 
 RETRY_NS = 20_000_000
-COALESCED_NS = 50_000_000
 LONGEST_REST_NS = 1_000_000_000  # ten edges or so, of the queue's many
 _WRAP = 1 << 32
 

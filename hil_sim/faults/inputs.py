@@ -48,16 +48,15 @@ class FaultyScalar:
 
     def values(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """``value`` at each of ``times_s`` (n,), in order."""
-        if not isinstance(self._analog, ManyValues):
-            return np.array([self.value(time_s) for time_s in times_s.tolist()])
-        if not self._is_faulty or not len(times_s):
-            return self._analog.values(times_s)
+        if not len(times_s):
+            return np.zeros(0)
         times_ns = self._start_ns + np.rint(times_s * 1e9).astype(np.int64)
         first_ns, last_ns = times_ns[[0, -1]].tolist()
+        is_stuck = self._faults.quiet_until(first_ns, *MEMORYLESS) <= last_ns
+        if is_stuck or not isinstance(self._analog, ManyValues):
+            return np.array([self.value(time_s) for time_s in times_s.tolist()])
         if self._faults.over(first_ns):
             return self._analog.values(times_s)
-        if self._faults.quiet_until(first_ns, *MEMORYLESS) <= last_ns:  # stuck
-            return np.array([self.value(time_s) for time_s in times_s.tolist()])
         at: NDArray[np.float64] = times_s - self._sizes(FaultKind.DELAYED, times_ns)
         readings = self._analog.values(np.where(at < times_s, np.maximum(at, 0.0), times_s))
         readings = readings * (1.0 + self._sizes(FaultKind.WRONG, times_ns))

@@ -10,41 +10,16 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from onboard.recording.format.errors import LogFormatError
-from onboard.recording.format.mcap_format import Attachment
 from onboard.recording.format.scan import Scan
 from onboard.recording.format.segments import flights, read_head, segment_path, segments
 from onboard.recording.left import Progress
 from onboard.recording.reader import LogReader
 from onboard.recording.recorded import ChannelProgress
 from onboard.recording.seal import seal
-from onboard.recording.segmented import SEAL_AFTER_NS, Preamble, SegmentedLog, SegmentLimits
+from onboard.recording.segmented import SEAL_AFTER_NS, SegmentedLog, SegmentLimits
 from onboard.recording.writer import LogWriter
-from tests.recording.logs import LABEL, READING, FailingSink, label_rows, reading_rows, same_fields, write_small
-
-STEP_NS = 50_000_000
-PREAMBLE = Preamble(
-    "f1",
-    (Attachment("vehicle.toml", "application/toml", b'name = "x"\n', 0),),
-    {"flight": {"vehicle": "x"}, "versions": {"heft": "1"}},
-)
-
-
-class Flight:
-    """Writes 40 rows a step of 50 ms; a segment lasts 10 steps."""
-
-    def __init__(self, log, preamble=PREAMBLE, **options):
-        self.writer = SegmentedLog.resume(log, preamble, limits=SegmentLimits(span_ns=10 * STEP_NS), **options)
-        self.writer.register("reading", READING)
-        self.writer.register("label", LABEL)
-        self.now_ns = self.number = 0
-
-    def steps(self, count):
-        for _ in range(count):
-            self.writer.write("reading", reading_rows(self.number, 40))
-            self.writer.write("label", label_rows(self.number, 40))
-            self.number += 40
-            self.writer.sync(self.now_ns)
-            self.now_ns += STEP_NS
+from tests.recording.logs import READING, FailingSink, label_rows, reading_rows, same_fields, write_small
+from tests.recording.segment_bench import PREAMBLE, STEP_NS, Flight
 
 
 @pytest.mark.parametrize("name", ["flight.mcap", "flight"])
@@ -249,29 +224,6 @@ def test_a_last_segment_that_tells_nothing_is_no_reason_to_forget(tmp_path):
     writer.close()
 
 
-def test_a_log_is_never_begun_over_another(tmp_path):
-    write_small(tmp_path / "a.mcap")
-    with pytest.raises(FileExistsError):
-        SegmentedLog(tmp_path / "a.mcap", PREAMBLE)
-
-
-def test_neighbours_of_a_like_name_are_no_part(tmp_path):
-    for name in ("run.mcap", "run_001.mcap"):
-        write_small(tmp_path / name)
-    flight = Flight(tmp_path / "flight.mcap")
-    flight.steps(25)
-    flight.writer.close()
-    other = Flight(tmp_path / "other.mcap", PREAMBLE._replace(flight="f2"))
-    other.steps(25)
-    other.writer.close()
-    (tmp_path / "other_001.mcap").rename(tmp_path / "flight_009.mcap")
-    assert segments(tmp_path / "run.mcap") == (tmp_path / "run.mcap",)
-    names = [path.name for path in segments(tmp_path / "flight.mcap")]
-    assert "flight_009.mcap" not in names
-    assert len(names) >= 2
-    assert segments(tmp_path / names[1]) == (tmp_path / names[1],)
-
-
 def test_what_a_command_line_gives_is_grouped_by_flight(tmp_path):
     for name, number in (("a", 1), ("b.mcap", 2)):
         flight = Flight(tmp_path / name, PREAMBLE._replace(flight=f"f{number}"))
@@ -300,27 +252,6 @@ def test_the_head_of_a_log_without_segments(tmp_path):
     assert read_head(tmp_path / "a.mcap")[:2] == ("heft", {})
 
 
-@pytest.mark.parametrize("name", ["run[1].mcap", "run[1]", "a*b?.mcap", "run_001.mcap", "{x}.mcap"])
-def test_any_name_of_a_log_works(tmp_path, name):
-    flight = Flight(tmp_path / name)
-    flight.steps(25)
-    flight.writer.abandon()
-    again = Flight(tmp_path / name)
-    assert again.writer.recorded["reading"].sequence == 24 * 40 - 1  # the last step was not synced
-    again.writer.close()
-    read = LogReader(tmp_path / name)
-    assert len(read.segments) > 2
-    assert len(read.read("reading")) == 24 * 40
-
-
-def test_another_flights_log_is_not_gone_on_with(tmp_path):
-    Flight(tmp_path / "flight.mcap").writer.close()
-    before = (tmp_path / "flight.mcap").read_bytes()
-    with pytest.raises(FileExistsError):
-        Flight(tmp_path / "flight.mcap", Preamble("f2"))
-    assert (tmp_path / "flight.mcap").read_bytes() == before
-
-
 def test_damage_names_its_file(tmp_path):
     flight = Flight(tmp_path / "a.mcap")
     flight.steps(25)
@@ -336,7 +267,7 @@ def test_damage_names_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "garbage", [b"", b"{", b"[1]", b"[1,2,3]", b'[1,2,{"a":[1]}]', b'[1,2,{"a":["x",2]}]', b"\xff"]
+    "garbage", [b"", b"{", b"[1]", b"[1,1,2,3]", b'[1,1,2,{"a":[1]}]', b'[1,1,2,{"a":["x",2]}]', b"\xff"]
 )
 def test_progress_that_is_none_is_refused(garbage):
     assert Progress.from_bytes(garbage) is None
@@ -379,85 +310,3 @@ def test_a_takeover_that_is_itself_killed_at_any_write_forgets_nothing(tmp_path,
             writer.abandon()
         calls[0] = 10_000
     assert same_fields(LogReader(tmp_path / "a.mcap").read("reading"), rows)
-
-
-def other_flight(path, flight="other"):
-    """A whole segment of another flight, with rows, and what is in it."""
-    log = SegmentedLog(path, PREAMBLE._replace(flight=flight))
-    log.register("reading", READING)
-    log.write("reading", reading_rows(0, 40))
-    log.close()
-    return path.read_bytes()
-
-
-def contents(paths):
-    """Of those files that are there."""
-    return [path.read_bytes() for path in paths if path.exists()]
-
-
-@pytest.mark.parametrize("what", ["a flight's", "a log", "text", "nothing", "a dead link"])
-def test_a_file_that_comes_to_the_name_of_the_next_segment_is_gone_past(tmp_path, what):
-    flight = Flight(tmp_path / "a.mcap")
-    flight.steps(1)
-    names = [tmp_path / "a_001.mcap", tmp_path / "a_002.mcap"]  # of the one opened ahead, and of the one after it
-    for path in names:
-        path.unlink(missing_ok=True)
-        if what == "a flight's":
-            other_flight(path)
-        elif what == "a log":
-            write_small(path)
-        elif what == "a dead link":
-            path.symlink_to(tmp_path / "nowhere")
-        else:
-            path.write_bytes(b"mine" if what == "text" else b"")
-    before = contents(names)
-    flight.steps(44)
-    flight.writer.abandon()  # it dies, and the next one takes over
-    again = Flight(tmp_path / "a.mcap")
-    assert again.writer.recorded["reading"].sequence >= 43 * 40
-    again.number = again.writer.recorded["reading"].sequence + 1
-    again.steps(45)
-    again.writer.close()
-    assert contents(names) == before
-    log = LogReader(tmp_path / "a.mcap")
-    assert log.read("reading")["sequence"].tolist() == list(range(again.number))
-    ours = [path for path in log.segments if path not in names]
-    assert len(ours) > 6
-    assert [read_head(path).number for path in ours] == list(range(len(ours)))
-    if what in ("a flight's", "a log"):  # a file without a head may be a damaged segment
-        assert log.complete
-        assert list(log.segments) == ours
-
-
-@pytest.mark.parametrize("content", ["a flight's", "text"])
-def test_a_recorder_that_takes_over_by_the_progress_of_the_one_before_leaves_others_alone(tmp_path, content):
-    told = []
-    flight = Flight(tmp_path / "a.mcap", told=told.append)
-    flight.steps(25)
-    flight.writer.abandon()
-    ahead = tmp_path / f"a_{told[-1].place + 1:03d}.mcap"
-    ahead.unlink()
-    if content == "text":
-        ahead.write_bytes(b"mine")
-    else:
-        SegmentedLog(ahead, PREAMBLE._replace(flight="f2")).close()  # no rows in it
-    before = ahead.read_bytes()
-    again = Flight(tmp_path / "a.mcap", progress=Progress.from_bytes(told[-1].to_bytes()))
-    assert again.writer.recorded["reading"].sequence == 24 * 40 - 1
-    again.number = 24 * 40
-    again.steps(20)
-    again.writer.close()
-    assert ahead.read_bytes() == before
-    assert len(LogReader(tmp_path / "a.mcap").read("reading")) == 44 * 40
-
-
-def test_of_names_that_other_flights_left_the_free_ones_are_used(tmp_path):
-    before = other_flight(tmp_path / "a_001.mcap")
-    flight = Flight(tmp_path / "a.mcap")
-    flight.steps(25)
-    flight.writer.close()
-    log = LogReader(tmp_path / "a.mcap")
-    assert log.complete
-    assert [path.name for path in log.segments[:2]] == ["a.mcap", "a_002.mcap"]
-    assert len(log.read("reading")) == 25 * 40
-    assert (tmp_path / "a_001.mcap").read_bytes() == before
