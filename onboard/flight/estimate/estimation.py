@@ -29,7 +29,8 @@ from onboard.ring import RingReader, RingWriter
 SUFFIX = "_estimation"
 CHECKPOINT_TICKS = 20
 CHECKPOINT_NS = 2_000_000_000  # where a step takes longer than it should
-CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again; a checkpoint costs 4 to 7 ms
+CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again
+CHECKPOINT_SHARE = 0.1  # of the CPU time of steps: a checkpoint costs 2 to 20 ms, as the estimator's state is large
 LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
 
 
@@ -205,7 +206,7 @@ class DurableEstimation:
         built: tuple[Estimator, UnwrittenParts] | None = None,
         cpu_ns: Callable[[], int] = lambda: 0,
     ) -> None:
-        self._cpu_ns, self._saved_cpu_ns = cpu_ns, cpu_ns()
+        self._cpu_ns, self._saved_cpu_ns, self._cost_ns = cpu_ns, cpu_ns(), 0
         estimator, places = built or _build(vehicle)
         self._directory, self._checkpoints = directory, Checkpoints(directory, places)
         self._rings = create_rings(directory, estimator)
@@ -228,7 +229,7 @@ class DurableEstimation:
 
     def _costly(self) -> bool:
         """Whether the steps since the last checkpoint have cost so much that it is time for another."""
-        return self._cpu_ns() - self._saved_cpu_ns > CHECKPOINT_CPU_NS
+        return self._cpu_ns() - self._saved_cpu_ns > max(CHECKPOINT_CPU_NS, self._cost_ns / CHECKPOINT_SHARE)
 
     def finish(self, now_ns: int, over: Callable[[], bool] = lambda: False) -> None:
         """See :meth:`EstimationWorker.finish`."""
@@ -241,12 +242,14 @@ class DurableEstimation:
         self._put(now_ns, Checkpoint(self._worker.ticks, events, positions, self._worker.estimator))
 
     def _put(self, now_ns: int, checkpoint: Checkpoint) -> None:
+        began_ns = self._cpu_ns()
         try:
             self._checkpoints.save(checkpoint)
         except (OSError, StateError) as error:
             text = f"no checkpoint of the estimator: {error}"
             self._publisher.publish([event(now_ns, Severity.WARNING, "no_checkpoint", "estimation", text)])
         self._saved_cpu_ns = self._cpu_ns()
+        self._cost_ns = self._saved_cpu_ns - began_ns
 
     def _take_over(self, vehicle: config.Vehicle, ticks: Rows, now_ns: int) -> tuple[EstimationWorker, bool]:
         """A worker that goes on after the last of ``ticks``, and whether it has the state of the dead one."""

@@ -34,7 +34,7 @@ _ROOMS = ("estimation", "identification", "timebase", "regressor", "dynamics", "
 _PACKAGES = tuple(f"onboard.{room}." for room in _ROOMS)
 _MODELS = (VehicleModel, ImuPredictor)  # of ours, the same all flight
 _HEAD = struct.Struct("<8sIIQQ")  # magic, format, CRC-32 of the tree, bytes of the tree, sum of the arrays' words
-_MAGIC, _WORD = b"heftstat", 8
+_MAGIC, _WORD, _WORDS = b"heftstat", 8, 1 << 64
 _PLAIN = (bool, int, float, str, type(None))
 _KINDS = frozenset(_PLAIN)
 _SEQUENCES: dict[str, type] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
@@ -106,7 +106,7 @@ class _Writer:
     def __init__(self, places: UnwrittenParts) -> None:
         self._places, self._number = places, dict[int, int]()
         self._kept: list[object] = []  # so that no number is given twice
-        self.arrays: list[memoryview | bytes] = []  # their bytes, to be copied before anything changes them
+        self.arrays: list[memoryview | bytes] = []  # their bytes, to be written before anything changes them
         self._end = 0
 
     def node(self, thing: object) -> Any:
@@ -272,10 +272,10 @@ def write(file: IO[bytes], thing: object, places: UnwrittenParts) -> None:
     writer = _Writer(places)
     tree = json.dumps(writer.node(thing), check_circular=False).encode()
     tree += b" " * (-len(tree) % _WORD)  # so that the words of the arrays are aligned
-    data = b"".join(writer.arrays)
-    file.write(_HEAD.pack(_MAGIC, FORMAT, zlib.crc32(tree), len(tree), _sum(data)))
+    words = sum(map(_sum, writer.arrays)) % _WORDS
+    file.write(_HEAD.pack(_MAGIC, FORMAT, zlib.crc32(tree), len(tree), words))
     file.write(tree)
-    file.write(data)
+    file.writelines(writer.arrays)  # one after the other: together they are tens of megabytes
 
 
 def from_bytes(data: bytes, places: UnwrittenParts) -> Any:
@@ -300,5 +300,6 @@ def from_bytes(data: bytes, places: UnwrittenParts) -> Any:
 
 
 def _sum(data: bytes | memoryview) -> int:
-    """Checksum: sum of the 64-bit words modulo 2^64; it changes with every change of a single word."""
-    return int(np.frombuffer(data, np.uint64).sum())
+    """Checksum: sum of the 64-bit words modulo 2^64, the last filled up with zeros; a single other word changes it."""
+    whole = len(data) // _WORD * _WORD
+    return (int(np.frombuffer(data[:whole], "<u8").sum()) + int.from_bytes(data[whole:], "little")) % _WORDS

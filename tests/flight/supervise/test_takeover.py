@@ -1,7 +1,6 @@
 """Workers that take over from one that died: the estimator to the bit, acquisition with its numbers."""
 
 import contextlib
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +13,7 @@ from drivers.records import Batch, Rows, SampleStatus, event, gap
 from onboard import config
 from onboard.flight.acquire.publisher import ExpectedChannel, Publisher
 from onboard.flight.estimate import estimation
+from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
 from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store import rings
@@ -146,23 +146,48 @@ def test_an_estimator_killed_again_while_it_repeats_steps_goes_on_from_where_it_
         now_ns += STEP_NS
         stretch.feed(now_ns)
         worker.step(now_ns)
-    process, repeated = Estimator.process, [0]
+    process, repeated, cost_ns = Estimator.process, [0], [0]
 
     def mortal(self: Estimator, *given: Any) -> list[Batch]:
         if repeated[-1] == 5:
             raise KilledError
         repeated[-1] += 1
+        cost_ns[0] += CHECKPOINT_CPU_NS + 1  # each step is a costly one
         return process(self, *given)
 
     monkeypatch.setattr(Estimator, "process", mortal)
-    cost_ns = itertools.count(0, CHECKPOINT_CPU_NS + 1)  # each look at the clock is a costly step later
     while repeated[-1] in (0, 5) and len(repeated) < 10:
         repeated.append(0)
         with contextlib.suppress(KilledError):
-            DurableEstimation(vehicle, directory, now_ns, cpu_ns=lambda: next(cost_ns))
+            DurableEstimation(vehicle, directory, now_ns, cpu_ns=lambda: cost_ns[0])
     assert repeated[1:] == [5, 5, 5, 4]
     assert not pushed(directory, "tick")["fresh"].any()
     assert b"estimator_anew" not in pushed(directory, "event_estimation")["code"].tolist()
+
+
+def test_checkpoints_take_a_tenth_of_the_time_that_steps_take(
+    mission: Result, vehicle: config.Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stretch = Stretch(mission.log, vehicle, tmp_path / "rings")
+    now_ns, cost_ns, saved, steps = stretch.start_ns, [0], [0], 19
+    process = Estimator.process
+
+    def step(self: Estimator, *given: Any) -> list[Batch]:
+        cost_ns[0] += CHECKPOINT_CPU_NS
+        return process(self, *given)
+
+    def save(_: Checkpoints, __: Checkpoint) -> None:
+        cost_ns[0] += CHECKPOINT_CPU_NS // 2
+        saved[0] += 1
+
+    monkeypatch.setattr(Estimator, "process", step)
+    monkeypatch.setattr(Checkpoints, "save", save)
+    worker = DurableEstimation(vehicle, tmp_path / "rings", now_ns, cpu_ns=lambda: cost_ns[0])
+    for _ in range(steps):
+        now_ns += STEP_NS
+        stretch.feed(now_ns)
+        worker.step(now_ns)
+    assert saved[0] == 1 + (steps - 1) // 6  # the first is that of the start; more than five steps cost ten times one
 
 
 def pushed(directory: Path, name: str) -> Rows:

@@ -34,7 +34,7 @@ class WindowRounds:
         rivals: what may not be as stated.
 
     Attributes:
-        result: the solve that counts, of the last window.
+        result: the solve that counts, of a window that is not settled yet.
     """
 
     result: WindowSolve
@@ -161,6 +161,7 @@ class WindowRounds:
             self._start = found.start if self._rivals.freed else None
         self._first = self._stated = None
         self._tried = []
+        del self.result  # megabytes, which every checkpoint would write
         return free
 
 
