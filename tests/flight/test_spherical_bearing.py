@@ -19,13 +19,16 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.identify.identify import identify
-from onboard.ground.identify.replay.feed import feed
+from onboard.ground.identify.kinds import pivot_log
+from onboard.ground.identify.kinds.identified import Identified
+from onboard.ground.identify.replay.feed import fed, feed
 from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.standing import Level, standing
 from onboard.identification.useful import sizes
+from onboard.recording.reader import LogReader
 from tests.flight.estimate.state_bytes import to_bytes
 from tests.flight.missions import Result, fly
 
@@ -49,25 +52,29 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 class Kept(NamedTuple):
-    """The ticks of a flight."""
+    """The ticks of a flight, and what ``heft identify`` says of them."""
 
     ticks: Ticks
     held: FloatArray
     truth: dict[str, float]
-    state: bytes  # of the estimator in mid-flight
+    found: Identified
 
 
 @pytest.fixture(scope="module")
 def kept(flown: Result) -> Kept:
-    estimator = Estimator(config.load(config.packaged("spherical_bearing")), at_the_end=True)
-    places, taken = state.UnwrittenParts(estimator), b""
-    for count, _ in enumerate(feed(estimator, flown.log)):
-        if count == 400:
-            taken = to_bytes(estimator, places)
-    run = estimator.online
-    assert isinstance(run, PivotRun)
+    runs: list[PivotRun] = []
+
+    def watched(estimator: Estimator, log: LogReader) -> None:
+        assert isinstance(estimator.online, PivotRun)
+        runs.append(estimator.online)
+        fed(estimator, log)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pivot_log, "fed", watched)
+        [found] = identify(config.load(config.packaged("spherical_bearing")), [flown.path]).logs
+    [run] = runs
     rows = [*flown.table["centres"], *flown.table["inertias"]]
-    return Kept(*run.taken, {row["quantity"]: row["truth"] for row in rows}, taken)
+    return Kept(*run.taken, {row["quantity"]: row["truth"] for row in rows}, found)
 
 
 def test_the_body_is_told_on_board_as_it_was_built(flown: Result) -> None:
@@ -88,8 +95,8 @@ def test_the_balance_masses_bring_the_offset_to_zero(flown: Result) -> None:
         assert 24.0 * told[f"com_{axis}"] + mass_kg * told[f"move_trim_{axis}"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_ground_tells_the_same_and_the_flight_replays(flown: Result) -> None:
-    [found] = identify(config.load(config.packaged("spherical_bearing")), [flown.path]).logs
+def test_the_ground_tells_the_same_and_the_flight_replays(flown: Result, kept: Kept) -> None:
+    found = kept.found
     assert found.verdict.level is Level.GOOD
     rows = {row["quantity"]: row for row in (*flown.table["centres"], *flown.table["inertias"])}
     assert [one.name for one in found.answers] == [*FREE_BODY, *NAMES[9:]]
@@ -190,10 +197,15 @@ def test_a_proof_mass_checks_the_scale_to_half_a_per_cent(kept: Kept, mass_g: fl
     assert any("nothing checks" in said for said in run.findings().doubts) != checked
 
 
-def test_its_state_is_written_as_values(kept: Kept) -> None:
+def test_its_state_is_written_as_values(flown: Result) -> None:
     """A checkpoint in mid-flight has its answer."""
     vehicle = config.load(config.packaged("spherical_bearing"))
-    other = state.from_bytes(kept.state, state.UnwrittenParts(Estimator(vehicle, at_the_end=True)))
+    estimator = Estimator(vehicle, at_the_end=True)
+    places = state.UnwrittenParts(estimator)
+    for count, _ in enumerate(feed(estimator, flown.log)):
+        if count == 400:
+            break
+    other = state.from_bytes(to_bytes(estimator, places), state.UnwrittenParts(Estimator(vehicle, at_the_end=True)))
     assert isinstance(other, Estimator)
     assert isinstance(other.online, PivotRun)
     assert other.online.found is not None
