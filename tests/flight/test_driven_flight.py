@@ -102,6 +102,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
     assert last["m_payload"]["sigma"] < 0.2 * mission.truth()["quantities"]["m_payload"]
 
 
+@pytest.mark.campaign  # of a worker: test_driving; what else stops a motion of a flight: test_servo_arm
 def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
     mission, log = world(vehicle, None, 8, 3.5, ["trip:joint_1:2.5:"]), tmp_path / "flight.mcap"

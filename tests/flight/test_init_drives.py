@@ -43,6 +43,9 @@ def test_the_file_as_written_flies_and_its_motion_is_made(arm: str, tmp_path: Pa
     if arm.startswith("free"):
         last = rows[rows["name"] == b"m_payload"][-1]
         assert abs(last["value"] - truth["m_payload"]) < 3.0 * last["sigma"]
+        assert last["sigma"] < 0.4 * truth["m_payload"]
+        assert len(read.read("joint_1_sent")) > 700
+        assert {drive.drive_state for drive in mission.drives.values()} == {1}  # they hold
 
 
 @pytest.mark.parametrize("joints", ["1", "2", "5"])
