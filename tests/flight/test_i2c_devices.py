@@ -92,6 +92,7 @@ def test_conversions_are_put_on_the_time_when_they_ended(mixed_flight, tmp_path,
     assert np.abs(mixed_flight.late_ns(channel, times_ns[-200:])).max() < 3.0 * sigma_ns
 
 
+@pytest.mark.campaign  # with AS5048s: test_as5048_flight; the driver: test_as5600, test_magnets
 def test_an_arm_of_magnets_and_a_bridge_is_weighed_with(tmp_path):
     """Two joints with an AS5600 each, on two buses, and their eccentric magnets."""
     result, log, _ = rehearsed(tmp_path, JOINTS, swing=8.0, seed=6)
