@@ -39,13 +39,13 @@ def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
     assert currents == [f"{joint}_torque" for joint in SERVOS]
     assert main(["init", str(tmp_path / "mine"), "--from", "student_arm"]) == OK
     file, answer = tmp_path / "mine/vehicle.toml", tmp_path / "answer.json"
-    packaged = file.read_text()
-    for wanted, told_as in ((0.2, ""), (0.01, "M_payload: its interval is as wide as")):
-        file.write_text(f"{packaged}\n[estimation.useful]\nmass = {wanted}\n")
-        assert main(["identify", str(run.path), "--vehicle", str(file), "--json", str(answer)]) == OK
-        [log] = json.loads(answer.read_text())["logs"]
-        assert (log["verdict"]["level"] == "good") == (not told_as), log["verdict"]
-        assert told_as in "; ".join(log["verdict"]["reasons"])
+    assert told["standing"].startswith("good")
+    file.write_text(f"{file.read_text()}\n[estimation.useful]\nmass = 0.01\n")
+    assert main(["identify", str(run.path), "--vehicle", str(file), "--json", str(answer)]) == OK
+    [log] = json.loads(answer.read_text())["logs"]
+    assert log["verdict"]["level"] == "weak"
+    [reason] = log["verdict"]["reasons"]  # it would be good but for the width that is asked for
+    assert reason.startswith("M_payload: its interval is as wide as")
 
 
 @pytest.mark.campaign  # servos: test_servos; a cell: above; an IMU: test_bmi088_flight
