@@ -51,7 +51,7 @@ def write(path: Path, read: SampledSignals, imu_until_s: float = np.inf) -> Path
 
 @pytest.fixture(scope="module")
 def read() -> SampledSignals:
-    return fly(np.random.default_rng(3), 10.0)
+    return fly(np.random.default_rng(3), 8.0)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_on_board_the_run_is_recorded_and_not_estimated(log: Path) -> None:
         made[channel] = made.get(channel, 0) + len(rows)
         if channel == "row":
             measured += int(np.isfinite(rows["measured"]).all(axis=1).sum())
-    assert measured > 750
+    assert measured > 550
     assert not {"estimate", "quantity"} & set(made)
 
 
@@ -106,7 +106,7 @@ def test_a_fit_that_is_not_usable_says_why(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("imu_until_s", "why"),
-    [pytest.param(5.02, "more", marks=pytest.mark.campaign), (5.0, "of which the IMU has no reading")],
+    [pytest.param(4.02, "more", marks=pytest.mark.campaign), (4.0, "of which the IMU has no reading")],
 )
 def test_an_answer_that_half_of_the_run_cannot_check_is_weak(
     read: SampledSignals, tmp_path: Path, imu_until_s: float, why: str
