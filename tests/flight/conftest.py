@@ -1,4 +1,4 @@
-"""Flights flown once for many tests: RockSat-X's missions, a whole and a short one, and one of every kind of device.
+"""Flights flown once for many tests: RockSat-X's, the free-flyer's, and one of every kind of device.
 
 And a fork server; rings of a test's own.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from onboard.flight.supervise.runner_forks import ForkServer
-from tests.flight.missions import BRIEF, SHORT, Result, fly
+from tests.flight.missions import BRIEF, CATCH, SHORT, Result, fly
 from tests.flight.mixed_flight import MixedFlight, fly_mixed
 
 
@@ -54,6 +54,12 @@ def short_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
 def brief_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """For what hangs on no answer either: :data:`BRIEF`."""
     return flown_once(tmp_path_factory, "brief", sequence=BRIEF)
+
+
+@pytest.fixture(scope="session")
+def catch(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """The free-flyer catches something: :data:`CATCH`."""
+    return flown_once(tmp_path_factory, "catch", seed=14, vehicle="dymaflex", **CATCH)
 
 
 @pytest.fixture(scope="session")

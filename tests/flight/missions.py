@@ -29,6 +29,22 @@ SHORT = [  # of RockSat: 16 s in which all three masses are found
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 BRIEF = [*SHORT[:1], sweep(3, 0.6), SHORT[-1]]  # 8 s with the tip mass, which determine next to nothing
+CATCH: dict[str, Any] = {  # of DYMAFLEX: 13.5 s
+    "sequence": [
+        {"phase": 0, "action": "hold", "duration_s": 1.0},
+        {
+            "phase": 1,
+            "action": "swing",
+            "duration_s": 12.0,
+            "ramp_s": 1.5,
+            "swing": 0.274,
+            "tones": 3,
+            "band_Hz": [0.1, 0.6],
+        },
+        {"phase": 9, "action": "hold", "duration_s": 0.5},
+    ],
+    "capture": {"earliest_s": 4.0, "latest_s": 5.0},
+}
 SHORT_REAL = [*SHORT[:-1], SHORT[-1] | {"duration_s": 2.0}]  # on a busy computer too a flight ends before its devices
 
 

@@ -15,90 +15,68 @@ from onboard.ground.identify.mission import mission_table as table
 from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.captured_body import NAMES
 from onboard.recording.reader import LogReader
-from tests.flight.missions import Result, fly, inline
+from tests.flight.missions import CATCH, Result, fly, inline
 from tests.flight.supervise.test_overload import slowed
 from tests.flight.supervise.test_takeover import Stretch
 
-SEED = 2
-SWING = {
-    "phase": 1,
-    "action": "swing",
-    "duration_s": 11.0,
-    "ramp_s": 1.5,
-    "swing": 0.274,
-    "tones": 3,
-    "band_Hz": [0.1, 0.6],
-}
-SHORT = {
-    "sequence": [
-        {"phase": 0, "action": "hold", "duration_s": 1.0},
-        SWING,
-        {"phase": 9, "action": "hold", "duration_s": 0.5},
-    ],
-    "capture": {"earliest_s": 4.0, "latest_s": 5.0},
-}
+SEED = 14
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return fly(tmp_path_factory.mktemp("dymaflex") / "flight.mcap", SEED, vehicle="dymaflex", **SHORT)
-
-
-def test_every_sample_of_every_channel_is_accounted_for(flown: Result) -> None:
-    assert flown.table["accounted"], flown.table["channels"]
-    assert set(flown.table["channels"]) == set(config.load(config.packaged("dymaflex")).channels)
-    recorded = {name: counted["recorded"] for name, counted in flown.table["channels"].items()}
-    seconds = flown.flown.truth["duration_s"]
+def test_every_sample_of_every_channel_is_accounted_for(catch: Result) -> None:
+    assert catch.table["accounted"], catch.table["channels"]
+    assert set(catch.table["channels"]) == set(config.load(config.packaged("dymaflex")).channels)
+    recorded = {name: counted["recorded"] for name, counted in catch.table["channels"].items()}
+    seconds = catch.flown.truth["duration_s"]
     for name in ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "load_cell", "can_sync"):
         assert recorded[name] == pytest.approx(500 * seconds, rel=0.02)
     for name in ("imu_base", "imu_2"):
         assert recorded[name] == pytest.approx(1000 * seconds, rel=0.03)
 
 
-def test_the_capture_is_found_and_told(flown: Result) -> None:
-    capture = flown.table["capture"]
+def test_the_capture_is_found_and_told(catch: Result) -> None:
+    capture = catch.table["capture"]
     assert len(capture["said_s"]) == 1
     lag_s, step_s = 0.2, 0.1
     assert 0.0 < capture["said_s"][0] - capture["true_s"] < 0.2 + lag_s + step_s
 
 
-def test_the_intervals_hold_what_was_caught(flown: Result) -> None:
-    assert flown.table["identified"]
-    mass = flown.mass("m_payload")
+def test_the_intervals_hold_what_was_caught(catch: Result) -> None:
+    assert catch.table["identified"]
+    mass = catch.mass("m_payload")
     assert mass["covered"]
     assert abs(mass["our_error_percent"]) < 5.0
-    told = [row for group in ("masses", "centres", "inertias") for row in flown.table[group]]
+    told = [row for group in ("masses", "centres", "inertias") for row in catch.table[group]]
     assert len(told) == 10
     assert all(row["supported"] for row in told)
     assert sum(row["covered"] for row in told) >= 8
 
 
-def test_how_the_payload_came_is_told_or_how_badly_it_is_known(flown: Result) -> None:
-    rows = flown.table["motions"]
+def test_how_the_payload_came_is_told_or_how_badly_it_is_known(catch: Result) -> None:
+    rows = catch.table["motions"]
     assert tuple(row["quantity"] for row in rows) == NAMES
     for row in rows:
         assert row["covered"] if row["supported"] else "determine no more" in row["standing"]
     assert not all(row["supported"] for row in rows)  # 5 kg bring little
-    before = next(batch for _, batch in flown.log.batches(["quantity"]))
+    before = next(batch for _, batch in catch.log.batches(["quantity"]))
     assert not {name.encode() for name in NAMES} & set(before["name"].tolist())
 
 
 @pytest.mark.campaign  # in flight: test_free_flyer
-def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, tmp_path: Path) -> None:
+def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(catch: Result, tmp_path: Path) -> None:
     """The kernel of dymaflex_parabolic, half down at 9 Hz: its poles are those of filterpy's steady-state filter."""
     packaged, path = config.packaged("dymaflex"), tmp_path / "flight.mcap"
     kernel = 'smoothing = "smoother"\nsmoothing_ms = 1000'
     text, count = re.subn(r"(?m)^smoothing_ms = 250\b", kernel, packaged.read_text(encoding="utf-8"))
     text, lags = re.subn(r"(?m)^lag_ms = 200\b", "lag_ms = 600", text)
     assert count == lags == 1
-    world, urls = open_in_process(scenario_of("dymaflex", SHORT), SEED)
+    world, urls = open_in_process(scenario_of("dymaflex", CATCH), SEED)
     with world:
         smoothed = hil.fly_simulated(config.parse(text, packaged), world, urls, path)
     again = Result(path, smoothed, table.result(smoothed))
-    (said_s,), (by_spline_s,) = (one.table["capture"]["said_s"] for one in (again, flown))
+    (said_s,), (by_spline_s,) = (one.table["capture"]["said_s"] for one in (again, catch))
     longer_lag_s = 0.4
     assert said_s - longer_lag_s == pytest.approx(by_spline_s, abs=0.2)
-    mass, by_spline = again.mass("m_payload"), flown.mass("m_payload")
+    mass, by_spline = again.mass("m_payload"), catch.mass("m_payload")
     assert mass["covered"]
     half_a_sigma_without_the_wrist_cell_kg = 0.035
     assert mass["value"] == pytest.approx(by_spline["value"], abs=half_a_sigma_without_the_wrist_cell_kg)
@@ -108,13 +86,13 @@ def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(flown: Result, 
     assert sum(row["covered"] for row in told) >= 8
 
 
-def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
-    found = replay(flown.path)
+def test_replay_gives_the_onboard_estimates_to_the_bit(catch: Result) -> None:
+    found = replay(catch.path)
     assert found.identical, found.summary
 
 
-def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(flown: Result) -> None:
-    base, other = flown.log.read("imu_base"), flown.log.read("imu_2")
+def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(catch: Result) -> None:
+    base, other = catch.log.read("imu_base"), catch.log.read("imu_2")
     R = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # base axes to the first one's
     flipped = np.diag([1.0, -1.0, -1.0])  # base axes to the second one's
     rate, again = (
@@ -134,8 +112,8 @@ def test_the_second_imu_is_recorded_and_the_first_one_has_the_marks(flown: Resul
 @pytest.mark.timeout(120)
 def test_it_flies_in_real_time_too(tmp_path: Path) -> None:
     """The devices in a process of their own at the full rate, the flight app in its own processes."""
-    tables = {"scenario": {"based_on": "dymaflex"}, "capture": SHORT["capture"]}
-    sequence = ", ".join(map(inline, SHORT["sequence"]))
+    tables = {"scenario": {"based_on": "dymaflex"}, "capture": CATCH["capture"]}
+    sequence = ", ".join(map(inline, CATCH["sequence"]))
     scenario = tmp_path / "short.toml"
     scenario.write_text("".join(f"{k} = {inline(v)}\n" for k, v in tables.items()) + f"sequence = [{sequence}]\n")
     vehicle = config.load(config.packaged("dymaflex"))
@@ -152,10 +130,10 @@ def test_it_flies_in_real_time_too(tmp_path: Path) -> None:
 
 
 def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_late(
-    flown: Result, tmp_path: Path
+    catch: Result, tmp_path: Path
 ) -> None:
     vehicle = config.load(config.packaged("dymaflex"))
-    stretch = Stretch(flown.log, vehicle, tmp_path / "rings", after_s=0.0)
+    stretch = Stretch(catch.log, vehicle, tmp_path / "rings", after_s=0.0)
     log = slowed(stretch, vehicle, tmp_path / "rings", 0.4, stretch.end_ns, stretch.end_ns)
     ticks, codes = log.read("tick"), log.read("event_estimation")["code"].tolist()
     assert not ticks["skipped_ns"].any()
@@ -163,7 +141,7 @@ def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_
     answers = log.read("quantity")
     [mass] = answers[(answers["host_ns"] == answers["host_ns"][-1]) & (answers["name"] == b"m_payload")]
     assert mass["supported"]
-    assert mass["low"] < flown.mass("m_payload")["truth"] < mass["high"]
+    assert mass["low"] < catch.mass("m_payload")["truth"] < mass["high"]
 
 
 @pytest.mark.parametrize(
@@ -173,7 +151,7 @@ def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Pa
     """While the payload is held, on board and afterwards: it is told, and another scale is named."""
     kind, device, start_s, _, value = fault.split(":")
     broken = {"kind": kind, "device": device, "start_s": float(start_s), "value": float(value)}
-    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **SHORT, fault=[broken])
+    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **CATCH, fault=[broken])
     [said] = flown.events("angle_jumped")
     assert said.startswith("joint_2: its angle jumps by +")
     mass = flown.mass("m_payload")
@@ -191,7 +169,7 @@ def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Pa
 @pytest.mark.campaign  # of ticks: test_recursive_changes
 def test_a_payload_that_loses_a_part_is_followed_and_told(tmp_path: Path) -> None:
     lost = {"at_s": 9.5, "mass_kg": 0.6, "centre_m": [0.05, 0.0, 0.1]}
-    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **SHORT, lost_part=lost)
+    flown = fly(tmp_path / "log.mcap", SEED, vehicle="dymaflex", **CATCH, lost_part=lost)
     mass = flown.mass("m_payload")
     assert mass["truth"] == pytest.approx(4.4)
     assert mass["covered"]

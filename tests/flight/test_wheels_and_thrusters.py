@@ -6,8 +6,7 @@ import pytest
 from onboard import config
 from onboard.flight.estimate.problem.identification import build_free_flyer, build_online
 from onboard.ground.identify.replay.replay import replay
-from tests.flight.missions import Result, fly
-from tests.flight.test_dymaflex import SHORT
+from tests.flight.missions import CATCH, Result, fly
 
 JETS = {"jet_1": ([0.0, 0.3, 0.0], [0.2, 0.0, 0.05]), "jet_2": ([-0.25, 0.0, 0.0], [0.0, -0.15, 0.0])}
 WHEN_s = {"jet_1": (2.0, 0.7), "jet_2": (8.0, 1.0)}
@@ -22,7 +21,7 @@ BURNS = [
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Result:
     path = tmp_path_factory.mktemp("actuators") / "flight.mcap"
-    return fly(path, 21011, vehicle="dymaflex_wheels", burn=BURNS, **SHORT)
+    return fly(path, 21011, vehicle="dymaflex_wheels", burn=BURNS, **CATCH)
 
 
 def test_every_sample_is_accounted_for_and_the_wheels_turn(flown: Result) -> None:
