@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from bench.faults import draw, flown, vocabulary
+from bench.faults import MISSIONS, draw, flown, vocabulary
 from hil_sim.faults import Fault, FaultKind, parse
 
 pytestmark = pytest.mark.timeout(120)
@@ -19,6 +19,7 @@ FOUND = [  # seed, mission, what broke; all of these have lost something without
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "unplug:can_0:5:7"),
 ]
+EARLY = FOUND[0], FOUND[1], FOUND[3], FOUND[5], FOUND[6], FOUND[7]  # flown for the first sweep alone, 5.5 s
 MORE = [
     (64866, "dymaflex", "bus_off:can_0:0:0.0246"),  # before the first SYNC
     (685, "rocksat_mixed", "silent:arm_phase:2.094:3.301"),  # a change that its node did not send
@@ -41,7 +42,10 @@ def table(fault: Fault) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("seed", "mission", "faults"), [*FOUND, *(pytest.param(*one, marks=pytest.mark.campaign) for one in MORE)]
 )
-def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, faults: str) -> None:
+def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, faults: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if (seed, mission, faults) in EARLY:
+        sequence = MISSIONS[mission]["sequence"]
+        monkeypatch.setitem(MISSIONS, mission, {"sequence": [*sequence[:2], sequence[-1]]})
     told = flown(seed, mission, [table(parse(fault)) for fault in faults.split()], without_estimator=True)
     assert (told["unnamed"], told["jumps"]) == ({}, {})
     assert any(missing for _, _, missing, _ in told["accounts"].values())
