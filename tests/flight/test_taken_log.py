@@ -13,15 +13,16 @@ import pytest
 from onboard import cli
 from onboard.recording.reader import LogReader
 from tests.flight.missions import SHORT_REAL, inline
+from tests.flight.test_full_disk import SHORTER
 
 pytestmark = pytest.mark.usefixtures("own_rings")
-OVER = f"sequence = [{', '.join(map(inline, SHORT_REAL))}]\n"
 
 
 def rehearse(place: Path, *options: str, take: Callable[[Path], object]) -> tuple[int, str, str, Path]:
     """``heft hil rocksat`` whose log ``take`` is called with in flight: exit code, what was printed, the log named."""
     log, short = place / "flights" / "flown.mcap", place / "short.toml"
-    short.write_text(OVER)
+    sequence = SHORT_REAL if "--realtime" in options else SHORTER
+    short.write_text(f"sequence = [{', '.join(map(inline, sequence))}]\n")
     command = [sys.executable, "-m", "onboard.cli", "hil", "rocksat", "--scenario", str(short), "--log", str(log)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, *options], stdout=pipe, stderr=pipe, text=True) as flight:

@@ -28,7 +28,7 @@ def vehicle() -> config.Vehicle:
     return config.load(config.packaged("rocksat"))
 
 
-@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("killed", [pytest.param(False, marks=pytest.mark.campaign), True])
 def test_a_pause_of_seconds_is_worked_off_in_steps_and_replays_to_the_bit(
     mission: Result, vehicle: config.Vehicle, tmp_path: Path, killed: bool
 ) -> None:
@@ -141,7 +141,7 @@ def slowed(
     return logged.log(vehicle, directory.parent / "log.mcap")
 
 
-@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("killed", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_at_a_quarter_of_the_cpu_rows_are_left_out_by_the_rule_and_the_log_replays(
     mission: Result, vehicle: config.Vehicle, tmp_path: Path, killed: bool
 ) -> None:

@@ -108,7 +108,7 @@ def record(directory: Path, vehicle: config.Vehicle, log: Path) -> LogReader:
     return LogReader(log)
 
 
-@pytest.mark.parametrize("while_taking_over", [False, True])
+@pytest.mark.parametrize("while_taking_over", [pytest.param(False, marks=pytest.mark.campaign), True])
 def test_an_estimator_killed_at_random_is_replayed_to_the_bit(
     mission: Result,
     vehicle: config.Vehicle,
