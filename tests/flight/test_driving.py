@@ -111,7 +111,7 @@ def test_whatever_is_wrong_stops_all_drives(bench, fault, said):
     flown.run(0.5)
     assert all(drive.drive_state != 0x27 for drive in flown.rig.drives.values())
     before = flown.codes
-    flown.run(1.0)
+    flown.run(0.5)
     assert flown.codes == before, "a player that has stopped does not start again"
 
 

@@ -129,11 +129,11 @@ def test_nothing_is_written_unless_armed(bench, said):
 def test_whatever_is_wrong_stops_all_servos_for_good(bench, fault, said):
     flown = bench(faults=[fault]).run(MIDWAY_S - 0.02)
     assert min(abs(axis.rate_rad_s) for axis in flown.rig.axes.values()) > 0.1, "it happens in mid-motion"
-    flown.run(1.5)
+    flown.run(0.9)
     assert said in flown.text("drive_stopped")
     assert flown.is_at_rest()
     before = flown.codes
-    flown.run(1.0)
+    flown.run(0.6)  # the motion would be over
     assert torques(flown) == {0}
     assert "drive_done" not in flown.codes
     assert flown.codes.count("drive_stopped") == before.count("drive_stopped") == 1
@@ -291,7 +291,7 @@ def test_goals_that_are_lost_in_a_row_stop_the_arm(bench, lost, stopped):
 def test_a_servo_that_falls_silent_in_its_set_up_is_set_up_when_it_is_back(bench):
     flown = bench(faults=[Fault("silent", "elbow", 0.08, 0.5)]).run(0.2)
     assert 0 < len(flown.kept.of("elbow_sent")) < len(flown.kept.of("shoulder_sent"))
-    flown.run(5.0)
+    flown.run(4.4)
     assert flown.codes == PLAYED
 
 
