@@ -18,7 +18,7 @@ from onboard import config
 from tests.flight.mixed import MixedWorld, vehicle
 from tests.hil_sim.devices.twin_bench import START_NS
 
-MIXED_s: Final = 5.0
+MIXED_s: Final = 4.0
 
 
 class MixedFlight(NamedTuple):

@@ -9,7 +9,7 @@ from onboard.channels import REQUEST, Act
 from onboard.config.segments import Library, to_bytes
 from onboard.flight.acquire.arming import REQUESTS
 from onboard.ring import RingWriter
-from tests.flight.driven_bench import MS, Bench, closed_after
+from tests.flight.driven_bench import MS, Bench, closed_after, csv_of, swing
 
 MISSION = '[mission]\nuntil = "mass 1 %"\nsegments = "segments.npz"'
 POSTURE = np.array([0.0, 0.2])
@@ -45,7 +45,7 @@ class Asked(Bench):
     def __init__(self, directory, segments=None, **said):
         (directory / "segments.npz").write_bytes(to_bytes(segments or library()))
         self.ring = RingWriter(directory / REQUESTS, REQUEST, 256)
-        super().__init__(directory, drive=MISSION, **said)
+        super().__init__(directory, drive=MISSION, csv=csv_of(*swing(0.8, (0.05, -0.04))), **said)
 
     def ask(self, name, act=Act.SEGMENT, late_ns=0):
         row = np.zeros(1, REQUEST)
@@ -60,7 +60,7 @@ def asked(tmp_path):
 
 def test_segments_are_played_one_after_another_as_asked(asked):
     flown = asked()
-    flown.run(5.0)
+    flown.run(3.8)
     assert flown.codes == ["drive_armed", "drive_started", "drive_done"]
     for name in ("s1", "s0"):
         flown.ask(name)
@@ -74,7 +74,7 @@ def test_segments_are_played_one_after_another_as_asked(asked):
 
 def test_what_is_not_to_be_played_is_refused(asked):
     flown = asked()
-    flown.run(5.0)
+    flown.run(3.8)
     flown.ask("s1", late_ns=3_000 * MS)
     flown.ask("nine")
     flown.ask("s1", act=Act.MET)
@@ -93,14 +93,14 @@ def test_what_is_not_to_be_played_is_refused(asked):
 @pytest.mark.parametrize(
     "fault",
     [
-        Fault("silent", "sync_box", 7.0, 7.05),
-        Fault("trip", "elbow", 7.0),
-        pytest.param(Fault("silent", "elbow", 7.0, 7.05), marks=pytest.mark.campaign),
+        Fault("silent", "sync_box", 5.8, 5.85),
+        Fault("trip", "elbow", 5.8),
+        pytest.param(Fault("silent", "elbow", 5.8, 5.85), marks=pytest.mark.campaign),
     ],
 )
 def test_what_stops_a_motion_stops_it_between_segments_too(asked, fault):
     flown = asked(faults=[fault])
-    flown.run(5.0)
+    flown.run(3.8)
     flown.ask("s0")
     flown.run(3.0)
     assert "drive_stopped" in flown.codes

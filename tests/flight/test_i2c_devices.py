@@ -87,7 +87,7 @@ def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
 def test_conversions_are_put_on_the_time_when_they_ended(mixed_flight, tmp_path, channel):
     """Of an NAU7802 and an HX711: the clock of its own oscillator, 0.7 and 1.2 % fast, fitted, against the truth."""
     times_ns, sigma_ns = timed(mixed_flight.vehicle(tmp_path), mixed_flight.rows, channel)
-    assert len(times_ns) > 330  # of five seconds
+    assert len(times_ns) > 260  # of four seconds
     assert sigma_ns < 0.5e6
     assert np.abs(mixed_flight.late_ns(channel, times_ns[-200:])).max() < 3.0 * sigma_ns
 
