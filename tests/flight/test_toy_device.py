@@ -1,9 +1,11 @@
-"""A kind of device from outside the package, found by its entry points, measures the joint of a whole flight.
+"""Kinds of devices from outside the package, found by their entry points, take part in a whole flight.
 
-The toy package of ``tests/flight/toy`` is laid out as an installed distribution in a directory of its own. Nothing of
-heft names it.
+The packages of ``tests/flight/toy``, which measures the joint, and ``tests/flight/thermometer``, which has a quantity
+that heft has no record for, are laid out as installed distributions in a directory of their own. Nothing of heft names
+them.
 """
 
+import csv
 import json
 import re
 import shutil
@@ -23,6 +25,20 @@ POINTS = """\
 toy_angle = toy_angle.device:ToyAngleDevice
 [heft.emulators]
 toy_angle = toy_angle.emulator:ToyAngleTable
+"""
+WARM_POINTS = """\
+[heft.devices]
+thermometer = thermometer.device:ThermometerDevice
+[heft.emulators]
+thermometer = thermometer.emulator:ThermometerTable
+"""
+WARM = """
+[bus.tty]
+url = "serial:///dev/ttyUSB1?baud=9600"
+
+[device.outside]
+kind = "thermometer"
+bus = "tty"
 """
 JOINT = """
 [bus.tty_toy]
@@ -48,17 +64,19 @@ transfer_s = 0.5
 
 @pytest.fixture(scope="module")
 def toys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where it is installed, and a vehicle whose joint has it."""
+    """Where they are installed, and a vehicle that has them."""
     directory = tmp_path_factory.mktemp("toys")
     code, site = Path(__file__).with_name("toy"), elsewhere.installed(directory, "toy_angle", POINTS)
     shutil.copytree(code, site / "toy_angle", ignore=shutil.ignore_patterns("__pycache__"))
+    code, site = Path(__file__).with_name("thermometer"), elsewhere.installed(directory, "thermometer", WARM_POINTS)
+    shutil.copytree(code, site / code.name, ignore=shutil.ignore_patterns("__pycache__"))
     (directory / "short.toml").write_text(SHORT)
     said = heft(directory, "init", "mine", "--base", "fixed", "--joints", "1", "--load-cell", "cia404")
     assert said.returncode == 0, said.stderr
     vehicle = directory / "mine" / "vehicle.toml"
     text, times = re.subn(r"\n\[device\.joint_1\]\n(?:(?!\[).*\n)*", f"\n{JOINT}\n", vehicle.read_text())
     assert times == 1
-    vehicle.write_text(text)
+    vehicle.write_text(text + WARM)
     return directory
 
 
@@ -99,6 +117,23 @@ def test_its_samples_are_timed_within_what_is_stated(flown: tuple[dict[str, Any]
     true_ns = VIRTUAL_START_NS + last["reference_tick"] * 5e6  # to 20e-6 of some seconds
     assert abs(last["reference_ns"] - true_ns) < 2.0 * last["sigma_ns"]
     assert last["sigma_ns"] < 4e6
+
+
+def test_a_thermometers_rows_are_in_the_log_by_their_own_record(flown: tuple[dict[str, Any], LogReader]) -> None:
+    result, log = flown
+    rows, account = log.read("outside"), result["channels"]["outside"]
+    assert len(rows) == account["recorded"] == account["produced"] > 80
+    assert rows["temperature_k"] == pytest.approx(293.15 + 1e-3 * rows["sequence"])
+    assert rows.dtype["humid"] == np.uint8
+
+
+def test_a_thermometer_is_dumped_with_its_field_and_unit(toys: Path, flown: tuple[dict[str, Any], LogReader]) -> None:
+    del flown
+    said = heft(toys, "dump", "flight.mcap", "--to", "csv", "tables", "--channel", "outside")
+    assert said.returncode == 0, said.stderr
+    with next((toys / "tables").glob("*outside*.csv")).open() as file:
+        table = list(csv.DictReader(file))
+    assert [float(row["temperature_k"]) for row in table[:3]] == pytest.approx([293.15, 293.151, 293.152])
 
 
 def test_commands_know_its_kind_and_its_keys(toys: Path, flown: tuple[dict[str, Any], LogReader]) -> None:
