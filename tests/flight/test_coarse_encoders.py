@@ -18,7 +18,7 @@ duration_s = 2.0
 [[sequence]]
 phase = 1
 action = "swing"
-duration_s = 7.5
+duration_s = 6.0
 band_Hz = [0.2, 1.0]
 """
 

@@ -41,7 +41,7 @@ def test_a_cell_that_is_stuck_gives_no_answer_and_says_so(tmp_path: Path) -> Non
 
 
 def test_a_scale_that_jumps_in_mid_flight_withdraws_the_answers(tmp_path: Path) -> None:
-    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", 0.1, 7.0), sequence=MISSION)
+    flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", 0.1, 5.0))
     assert standings(flown) == {"do not use"}
     assert not any(mass["supported"] for mass in flown.table["masses"])
     assert any("load_cell reads +" in said for said in flown.events("withdrawn"))
@@ -87,7 +87,7 @@ def test_an_answer_says_which_calibration_it_leans_on(mission: Result) -> None:
 def test_an_imu_that_warms_up_does_not_cost_the_answers(tmp_path: Path) -> None:
     """By 40 K: where its offset is not followed, 84 % of the rows are refused as drag, and nothing is answered."""
     warm = {"sensor": {"imu": {"temperature_rise_K": 40.0, "temperature_time_s": 10.0}}}
-    flown = fly(tmp_path / "log.mcap", 3012, load("rocksat", {"sequence": MISSION, **warm}))
+    flown = fly(tmp_path / "log.mcap", 3012, load("rocksat", {"sequence": SHORT, **warm}))
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
     rows = flown.log.read("row")
     later = rows["vehicle_ns"] > flown.flown.truth["start_ns"] + 3_000_000_000

@@ -135,7 +135,7 @@ mass_kg = [1.0, 2.0]
 [[sequence]]
 phase = 1
 action = "swing"
-duration_s = 8.0
+duration_s = 7.0
 band_Hz = [0.2, 1.0]
 """
 LENGTHS = 1.06

@@ -26,6 +26,7 @@ def written(
     path = directory / "it" / "vehicle.toml"
     assert cli.main(["init", str(path.parent), "--base", base, *NEW]) == cli.OK
     text = path.read_text().replace('kind = "dynamixel"', f'kind = "dynamixel"\ndriven = true\n{timing}')
+    text = text.replace("row_rate_hz = 100 ", "row_rate_hz = 50 ")
     text = text.replace("gain_N_m_A = 1.78 ", "gain_N_m_A = 13.0 ")  # 30 N m, as the URDF says
     drive = 'armed = true\nmotion = "motion.csv"\nsync_limit_ms = 100\nfollowing_error_rad = 0.4\nafter_stop = "hold"'
     path.write_text(f"{text}\n[drive]\n{drive}\n")
