@@ -7,7 +7,7 @@ import pytest
 
 from drivers.records import SampleStatus
 from onboard.cli import main
-from tests.flight.test_i2c_devices import codes_of, rehearsed
+from tests.flight.test_i2c_devices import SPARSE, codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
 ARM = ["--base", "fixed", "--joints", "2", "--load-cell", "nau7802", "--encoder"]
@@ -36,7 +36,7 @@ def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path
         *("--fault", "field:joint_1:2:3:-0.7", "--fault", "field:joint_2:3:3.5:0.8", "--fault", "off:joint_2:4:4.5"),
         *("--fault", "silent:joint_1:4.8:5.1", "--fault", "garbage:joint_2:5.4:5.6"),
     ]
-    result, log, _ = rehearsed(tmp_path, [*ARM, kind], *faults, swing=4.5)
+    result, log, _ = rehearsed(tmp_path, [*ARM, kind], *faults, swing=4.5, change=SPARSE)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     events = log.read("event")
     told = {(event["source"], event["code"]) for event in events}
@@ -48,7 +48,7 @@ def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path
 
 
 def test_an_adapter_that_is_unplugged_comes_back(tmp_path):
-    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], "--fault", "unplug:spi_1:2:3", swing=4.5)
+    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], "--fault", "unplug:spi_1:2:3", swing=4.5, change=SPARSE)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert codes_of(log, b"joint_1").count(b"bus_recovered") == 1
     assert 190 < result["channels"]["joint_1"]["missing"] < 420

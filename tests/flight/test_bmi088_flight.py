@@ -5,7 +5,7 @@ import pytest
 from drivers.records import SampleStatus
 from onboard.cli import main
 from tests.flight.test_devices import timed
-from tests.flight.test_i2c_devices import codes_of, rehearsed
+from tests.flight.test_i2c_devices import SPARSE, codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
 FREE = ["--base", "free", "--joints", "2", "--imu"]
@@ -35,7 +35,7 @@ OF_SPI = "off:imu_base:1.5:2.5 unplug:imu_spi:3:3.5 silent:imu_base:4.2:4.5 rese
 )
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path, kind, faults):
     asked = (word for fault in faults.split() for word in ("--fault", fault))
-    result, log, _ = rehearsed(tmp_path, [*FREE, kind], *asked, swing=4.5)
+    result, log, _ = rehearsed(tmp_path, [*FREE, kind], *asked, swing=4.5, change=SPARSE)
     honest(answers(result))
     told = codes_of(log, b"imu_base")
     assert told.count(b"bus_recovered") >= 3

@@ -8,7 +8,7 @@ from onboard import config
 from onboard.cli import main
 from tests.flight.mixed import DEVICES, vehicle
 from tests.flight.test_devices import timed
-from tests.flight.test_i2c_devices import codes_of, rehearsed
+from tests.flight.test_i2c_devices import SPARSE, codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
 ARM = ["--base", "fixed", "--joints", "2", "--encoder", "dynamixel"]
@@ -43,7 +43,7 @@ def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
         *("--fault", "unplug:tty_servos:1.5:2.5", "--fault", "off:joint_2:3.2:4.2", "--fault", "garbage:joint_1:5:5.2"),
         *("--fault", "silent:joint_1:5.5:6", "--fault", "byte_loss:tty_servos:6.2:6.6:0.02"),
     ]
-    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, swing=6.5)
+    result, log, _ = rehearsed(tmp_path, WITH_CELL, *faults, swing=6.5, change=SPARSE)
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert b"bus_recovered" in codes_of(log, b"tty_servos")
     for joint in (b"joint_1", b"joint_2"):
@@ -55,7 +55,9 @@ def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
 
 
 def test_an_overload_is_named_and_its_current_is_not_used(tmp_path):
-    result, log, _ = rehearsed(tmp_path, ARM, "--fault", "trip:joint_2:2:3", "--fault", "trip:joint_1:3:4:4", swing=4.0)
+    result, log, _ = rehearsed(
+        tmp_path, ARM, "--fault", "trip:joint_2:2:3", "--fault", "trip:joint_1:3:4:4", swing=4.0, change=SPARSE
+    )
     honest({name: row for name, row in answers(result).items() if row["supported"]})
     assert codes_of(log, b"joint_2").count(b"hardware_error") == 1
     assert {b"hardware_error", b"hot"} <= set(codes_of(log, b"joint_1"))

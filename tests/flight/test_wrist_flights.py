@@ -6,7 +6,7 @@ import pytest
 from drivers.records import SampleStatus
 from onboard import config
 from onboard.cli import main
-from tests.flight.test_i2c_devices import codes_of, rehearsed
+from tests.flight.test_i2c_devices import SPARSE, codes_of, rehearsed
 from tests.flight.test_rehearsal import answers, honest
 
 ARM = ["--base", "fixed", "--joints", "2", "--load-cell"]
@@ -73,7 +73,7 @@ def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_li
         *("unplug:tty_wrist:1:1.3", "reset:fx:2", "silent:fy:4.2:4.4"),
         *("byte_loss:tty_wrist:4.6:5.1:0.002", "saturated:fz:5.4:5.6:1", "garbage:my:5.7:5.8"),
     ]
-    _, log, codes = flown(tmp_path, "robotous_rft", *faults, rest=1.5, swing=4.5)
+    _, log, codes = flown(tmp_path, "robotous_rft", *faults, rest=1.5, swing=4.5, change=SPARSE)
     assert (codes.count(b"bus_error"), codes.count(b"silent"), codes.count(b"bus_recovered")) == (1, 1, 2)
     assert codes.count(b"sensor_status") == codes.count(b"sensor_normal") == 1
     assert number_of(log, SampleStatus.AFTER_RESET) >= 3
