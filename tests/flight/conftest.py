@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from onboard.flight.supervise.runner_forks import ForkServer
-from tests.flight.missions import BRIEF, CATCH, SHORT, Result, fly
+from tests.flight.missions import BRIEF, CATCH, CATCH_SEED, SHORT, Result, fly
 from tests.flight.mixed_flight import MixedFlight, fly_mixed
 
 
@@ -59,7 +59,7 @@ def brief_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
 @pytest.fixture(scope="session")
 def catch(tmp_path_factory: pytest.TempPathFactory) -> Result:
     """The free-flyer catches something: :data:`CATCH`."""
-    return flown_once(tmp_path_factory, "catch", seed=14, vehicle="dymaflex", **CATCH)
+    return flown_once(tmp_path_factory, "catch", seed=CATCH_SEED, vehicle="dymaflex", **CATCH)
 
 
 @pytest.fixture(scope="session")

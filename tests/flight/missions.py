@@ -29,6 +29,7 @@ SHORT = [  # of RockSat: 16 s in which all three masses are found
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 BRIEF = [*SHORT[:1], sweep(3, 0.6), SHORT[-1]]  # 8 s with the tip mass, which determine next to nothing
+CATCH_SEED = 14
 CATCH: dict[str, Any] = {  # of DYMAFLEX: 13.5 s
     "sequence": [
         {"phase": 0, "action": "hold", "duration_s": 1.0},
