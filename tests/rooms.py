@@ -80,6 +80,8 @@ def imports(path: str, source: str) -> tuple[Import, ...]:
     if not path.endswith("__init__.py"):
         package = package[:-1]
 
+    by_call = "import_module" in source or "__import__" in source  # else only statements import
+    into = ast.AST if by_call else (ast.stmt, ast.ExceptHandler, ast.match_case)
     found: list[Import] = []
     waiting: list[tuple[ast.AST, bool]] = [(parsed(path, source), False)]
     while waiting:
@@ -97,7 +99,7 @@ def imports(path: str, source: str) -> tuple[Import, ...]:
             ):
                 found.append(Import(node.lineno, name, lazy))
         inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-        waiting += [(child, inside) for child in ast.iter_child_nodes(node)]
+        waiting += [(child, inside) for child in ast.iter_child_nodes(node) if isinstance(child, into)]
     return tuple(sorted(found))
 
 
