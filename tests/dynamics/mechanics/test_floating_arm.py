@@ -127,7 +127,7 @@ def test_a_momentum_moves_the_tip_of_an_arm_at_rest(rng):
     np.testing.assert_allclose(floating.tip_drift(START, momentum), np.concatenate(expected), atol=1e-13)
 
 
-@pytest.mark.parametrize("with_rate", [False, True])
+@pytest.mark.parametrize("with_rate", [pytest.param(False, marks=pytest.mark.campaign), True])  # the harder one
 def test_the_tip_follows_a_straight_line_to_a_millimetre_while_the_base_floats(with_rate):
     floating = arm()
     momentum = np.zeros(6)

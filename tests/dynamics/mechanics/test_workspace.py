@@ -164,8 +164,8 @@ PLANAR = """<robot name="planar">
 </robot>"""
 
 
-def planar():
-    return FloatingArm(VehicleModel(PLANAR, VehicleSpec(BaseKind.FREE, "base")), "tip")
+def planar(urdf=PLANAR):
+    return FloatingArm(VehicleModel(urdf, VehicleSpec(BaseKind.FREE, "base")), "tip")
 
 
 def test_the_planar_determinant_is_that_of_the_barycentric_form(rng):
@@ -263,8 +263,13 @@ def test_the_base_is_turned_by_arm_cycles_alone():
 
 
 def test_a_turn_that_is_too_large_for_the_cycles_is_refused():
+    limited = PLANAR.replace("continuous", "revolute").replace(
+        '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/>'
+    )
+    turn = np.array([0.0, 0.0, 3.0])
+    assert nonholonomic.reorient(planar(), np.zeros(2), turn, 1, 1).swing_rad.max() > 2.0
     with pytest.raises(ConvergenceError, match="ask for a smaller turn"):
-        nonholonomic.reorient(arm(), START, np.array([3.0, 0.0, 0.0]), most_cycles=1, harmonics=1)
+        nonholonomic.reorient(planar(limited), np.zeros(2), turn, 1, 1)
     with pytest.raises(SignalError, match="shorter than pi"):
         nonholonomic.reorient(arm(), START, np.array([4.0, 0.0, 0.0]))
 
