@@ -77,11 +77,11 @@ kind = "mpu6050"
 bus = "i2c_1"
 address = 0x68
 frame = "base"
-sample_rate_hz = 1000
+sample_rate_hz = 200
 accel_range_g = 4
 gyro_range_deg_s = 250
 filter_code = 2
-poll_period_ms = 10
+poll_period_ms = 50
 accel_noise_m_s2 = 0.088
 gyro_noise_rad_s = 1.95e-3
 """

@@ -35,7 +35,7 @@ def _moved(lab, held_kg):
     hand = model.frames[model.getFrameId("payload")]
     held = pin.Inertia(held_kg, np.array([0.02, 0.03, 0.05]), 2e-3 * held_kg * np.eye(3))
     model.appendBodyToJoint(hand.parentJoint, held, hand.placement)
-    data, t = model.createData(), 0.01 * np.arange(3000)
+    data, t = model.createData(), 0.01 * np.arange(1800)
     rate = 2.0 * np.pi * np.array([0.23, 0.31, 0.17])
     turns = rate * t[:, None] + [0.0, 1.0, 2.0]
     q, dq, ddq = 0.6 * np.sin(turns) + 0.3, 0.6 * rate * np.cos(turns), -0.6 * rate**2 * np.sin(turns)
