@@ -264,7 +264,13 @@ def test_one_failed_transfer_at_any_place_is_survived(clock, chip):
 
 
 @CHIPS
-@pytest.mark.parametrize(("first", "code"), [(0, errno.EREMOTEIO), (3, errno.ETIMEDOUT)])
+@pytest.mark.parametrize(
+    ("first", "code"),
+    [
+        (0, errno.EREMOTEIO),
+        pytest.param(3, errno.ETIMEDOUT, marks=pytest.mark.campaign),  # places between those of the other
+    ],
+)
 def test_a_bus_that_dies_at_any_transfer_is_told_once_and_survived(clock, chip, first, code):
     for place in range(first, 60, 6):
         model = chip(clock)

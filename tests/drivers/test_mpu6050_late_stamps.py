@@ -58,7 +58,7 @@ class Preempted:
         return numbers(rows) - rows["tick"].astype(int)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     drift_percent=st.floats(-1.0, 1.0),
@@ -82,12 +82,12 @@ def test_gaps_are_counted_right_whatever_stamps_are_late(seed, drift_percent, bu
 def test_over_many_gaps_hardly_one_is_off_by_a_sample():
     """By the first count alone it was 1 to 31 too many after every second gap."""
     wrong = gaps = 0
-    for seed in range(10):
+    for seed in range(5):
         flight = Preempted(seed, 1_003_217.3)
         flight.fly(20, usually=0.02, after_a_gap=0.5)
         gaps += len(of(flight.batches, "gap"))
         wrong += np.count_nonzero(np.diff(flight.slips()))
-    assert gaps >= 200
+    assert gaps >= 100
     assert wrong <= gaps // 100
 
 

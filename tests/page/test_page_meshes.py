@@ -169,7 +169,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytes
 
 
 def test_many_triangles_become_few_of_the_same_shape(tmp_path: Path) -> None:
-    (tmp_path / "ball.stl").write_bytes(stl(0.3 * sphere(150)))
+    (tmp_path / "ball.stl").write_bytes(stl(0.3 * sphere(60)))
     (tmp_path / "box.stl").write_bytes(stl(BOX))
     drawn = meshes_of(urdf(base="ball.stl", payload="box.stl"), tmp_path)
     found = {k: np.reshape(v, (-1, 3, 3)) for k, v in drawn.corners.items()}

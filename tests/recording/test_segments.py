@@ -159,7 +159,7 @@ def test_taken_over_at_every_byte_it_goes_on_after_the_last_row_that_was_written
     found = [segment_path(log, number) for number in range(len(files))]
     used, ahead = found[-2], found[-1]
     assert len(found) > 3
-    for size in [*range(0, len(files[used]), 487), len(files[used])]:
+    for size in [*range(0, len(files[used]), 997), len(files[used])]:
         again = tmp_path / str(size) / name
         for path in found:
             copy = again.parent / path.relative_to(log.parent)

@@ -63,7 +63,7 @@ def test_any_offset_and_rate_are_found_through_an_unknown_map(seed: int, rate: f
 
 def test_stated_sigma_is_that_of_the_error() -> None:
     found: list[tuple[Alignment, float]] = []
-    for seed in range(40):
+    for seed in range(20):
         reference, other, true_s = recorders(np.random.default_rng(seed), 0.01, 3.0, noise=1.0)
         one = align(reference, other, PEAK_HZ)
         middle = int(np.argmin(np.abs(other.time_s - one.pivot_s)))

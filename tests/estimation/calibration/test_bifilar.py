@@ -59,7 +59,7 @@ def test_the_derivatives_of_a_swing_are_its_differences():
 def test_the_last_bits_of_the_readings_do_not_move_the_answer(rng):
     """Another processor sums in another order: a fit that ends where it has converged hardly notices."""
     t, w = recorded(rng, 0.8, np.deg2rad(20.0), seconds=60.0, noise=1e-4)
-    found = [swing(t, w * (1.0 + 1e-15 * k), HANGING, 0.03) for k in range(-2, 3)]
+    found = [swing(t, w * (1.0 + 1e-15 * k), HANGING, 0.03) for k in (-2, 0, 2)]
     own = found[0].parts["swings"] * found[0].inertia_kg_m2
     assert np.ptp([one.inertia_kg_m2 for one in found]) < 0.01 * own
 
@@ -152,7 +152,7 @@ def test_the_tensor_from_six_axes(rng):
     ],
 )
 def test_what_errors_of_the_gyros_axes_do_to_the_tensor(rng, errors):
-    """Covariance against 2000 draws: one gyro in all six hangs, its axes turned in the body."""
+    """Covariance against 1000 draws: one gyro in all six hangs, its axes turned in the body."""
     axes = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
     unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     R_BS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -160,7 +160,7 @@ def test_what_errors_of_the_gyros_axes_do_to_the_tensor(rng, errors):
     values, own = np.einsum("ka,ab,kb->k", unit, truth, unit), np.full(6, 1e-6)
     by_scale = np.linspace(-0.02, -0.01, 6)
     draws = []
-    for _ in range(2000):
+    for _ in range(1000):
         x, y, z = errors.misalignment_rad * rng.standard_normal(3)
         E = np.diag(errors.scale * rng.standard_normal(3)) - np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         E += errors.cross_axis * rng.standard_normal((3, 3)) * (1.0 - np.eye(3))

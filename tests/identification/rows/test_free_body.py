@@ -93,7 +93,7 @@ def test_what_is_left_without_the_carrier_and_its_intervals(rng):
     np.testing.assert_allclose(found.high - found.moments, 1.959964 * found.sigma, rtol=1e-4)
     exact = free_body.Whole(whole.body, np.eye(9), Gaussian(np.zeros((9, 9))))
     draws = []
-    for _ in range(1500):
+    for _ in range(800):
         scale = 1.0 + 0.004 * rng.normal()
 
         def draw(body, sigma, scale=scale):
