@@ -21,7 +21,9 @@ def judged(readings, longest, batch, usable=None, travels=False):
     return found
 
 
-BATCHES = pytest.mark.parametrize("batch", [1, 3, 10, 1000])
+BATCHES = pytest.mark.parametrize(
+    "batch", [1, pytest.param(3, marks=pytest.mark.campaign), 10, 1000]
+)  # one by one, few, many, all
 
 
 @pytest.mark.parametrize("sigma", [1.5, 12.0, 200.0])

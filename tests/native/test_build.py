@@ -45,9 +45,9 @@ def ours():
         ),  # ours is made so, where gcc is there
         pytest.param("gcc", UNOPTIMISED, id="gcc-O0"),
         pytest.param("clang", build.FLAGS, id="clang-O3"),
-        pytest.param("clang", UNOPTIMISED, id="clang-O0"),
+        pytest.param("clang", UNOPTIMISED, id="clang-O0", marks=pytest.mark.campaign),
         pytest.param("zig", build.FLAGS, id="zig-O3"),
-        pytest.param("zig", UNOPTIMISED, id="zig-O0"),
+        pytest.param("zig", UNOPTIMISED, id="zig-O0", marks=pytest.mark.campaign),
     ],
 )
 def test_every_compiler_makes_the_same_bits(compiler, flags, ours, tmp_path, monkeypatch):

@@ -68,18 +68,18 @@ def main(place):
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=48m", "tmpfs", place], check=True)
     flight = Flight(disk, disk.parent / "rings")
     other = disk / "other"
-    flight.seconds(10)
+    flight.seconds(4)
     fill(other, 2_000_000)  # it is seen coming: less than the margin is left
-    flight.seconds(30)
+    flight.seconds(20)
     other.unlink()
-    flight.seconds(10)
+    flight.seconds(6)
     ballast = flight.log.with_name("flight.mcap.heft-reserve")
     held = ballast.exists()
     ballast.unlink()
     fill(other, 0)  # not one byte is left, and no ballast
-    refused = any(report.failing for report in flight.seconds(30))
+    refused = any(report.failing for report in flight.seconds(20))
     other.unlink()
-    flight.seconds(10)
+    flight.seconds(6)
     closed = not flight.recorder.close(flight.now_ns).failing
     log = LogReader(flight.log)
     gaps = log.read("recorder_gap")

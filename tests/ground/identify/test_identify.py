@@ -335,7 +335,7 @@ OF_EACH_LOAD = 0, 7, 15, 30
     [
         "gyro x 1.03",
         "gyro x 1.1",
-        "gyro x 0.9",
+        pytest.param("gyro x 0.9", marks=pytest.mark.campaign),  # as 1.1
         "gyro x sign",
         "accel yz swapped",
         "wheel 10 ms late",

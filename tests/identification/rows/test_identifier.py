@@ -25,7 +25,7 @@ def test_masses_over_many_flights(rng):
     chi[-1] = 0.03
     truth = base.value(chi)
     errors, covered, parameters = [], [], []
-    for _ in range(24):
+    for _ in range(40):
         signals, held, _ = rocksat_flight.flight(rng)
         who = rocksat_flight.identifier()
         rocksat_flight.feed(who, signals, held, step=64)

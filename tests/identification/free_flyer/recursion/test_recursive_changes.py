@@ -285,7 +285,7 @@ def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
     ("seed", "noise", "share", "at_s", "told"),
     [
         (100, 5.0, 1.08, 4.8, ["change", "altered"]),
-        (104, 20.0, 0.82, 6.4, ["change", "altered"]),
+        pytest.param(104, 20.0, 0.82, 6.4, ["change", "altered"], marks=pytest.mark.campaign),  # as the first
         (503, 5.0, 1.14, 3.2, ["altered"]),  # while its first seconds are solved as a window
     ],
 )

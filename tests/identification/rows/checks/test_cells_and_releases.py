@@ -56,7 +56,7 @@ def payload_kg(found):
     return next(q for q in found.estimate().quantities if q.name == "m_tip_mass")
 
 
-@pytest.mark.parametrize("lies", ["cell_1", "cell_2"])
+@pytest.mark.parametrize("lies", ["cell_1", pytest.param("cell_2", marks=pytest.mark.campaign)])  # it lies below
 def test_the_cell_whose_scale_jumps_is_left_out_and_the_other_answers(rng, lies):
     found = Hypotheses(identifier, ("cell_1", "cell_2"))
     fly(found, rng, scale=lambda t: [1.3 if t > 5.0 and name == lies else 1.0 for name in ("cell_1", "cell_2")])
@@ -106,7 +106,7 @@ def test_where_the_drawing_says_nothing_both_are_as_likely(rng, monkeypatch):
     assert held.high - held.low < 0.3 * TIP_KG  # what is off the drawing widens that of the wrong one
 
 
-@pytest.mark.parametrize("lies", ["cell_1", "cell_2"])
+@pytest.mark.parametrize("lies", [pytest.param("cell_1", marks=pytest.mark.campaign), "cell_2"])  # it lies above
 def test_a_cell_that_contradicted_the_other_makes_no_good_answer_again(rng, lies):
     """It reads 2 % too much for four seconds: these rows stay in, also when the later ones have scattered them."""
     found, contradicted = Hypotheses(identifier, ("cell_1", "cell_2")), list[bool]()
@@ -147,7 +147,9 @@ def test_two_cells_that_differ_by_a_little_are_doubted_before_either_is_taken_fo
     assert "probability of being wrong" in said[-1].doubts[0]
 
 
-@pytest.mark.parametrize(("lies", "scale"), [("cell_1", 1.2), ("cell_2", 1.2), ("cell_2", 0.75)])
+@pytest.mark.parametrize(
+    ("lies", "scale"), [("cell_1", 1.2), pytest.param("cell_2", 1.2, marks=pytest.mark.campaign), ("cell_2", 0.75)]
+)
 def test_of_two_cells_of_different_scales_the_drawn_arm_tells_which_is_wrong(rng, lies, scale):
     """The mean of both is half as far off the drawing as the wrong one alone: that is no reason to refuse it."""
     found = Hypotheses(identifier, ("cell_1", "cell_2"))
@@ -195,7 +197,7 @@ def test_of_two_cells_that_are_both_fine_and_do_not_agree_about_a_release_neithe
     assert has_happened([(20.0, True), (20.0, True), (-20.0, True)]) is None
 
 
-@pytest.mark.parametrize("lies", CELLS)
+@pytest.mark.parametrize("lies", ["cell_1", pytest.param("cell_2", marks=pytest.mark.campaign)])  # it lies above
 def test_of_a_false_release_and_a_cell_that_jumps_both_are_told(rng, lies):
     found = Hypotheses(identifier, CELLS)
     assert (
