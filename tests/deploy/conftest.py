@@ -1,5 +1,5 @@
-"""The RockSat-X missions that the flight's tests share."""
+"""The RockSat-X mission that the flight's tests share."""
 
-from tests.flight.conftest import mission, short_mission
+from tests.flight.conftest import short_mission
 
-__all__ = ["mission", "short_mission"]
+__all__ = ["short_mission"]

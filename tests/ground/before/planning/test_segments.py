@@ -130,7 +130,7 @@ def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library):
         f"capture = false\npayload.mass_kg = [3.0, 3.0]\nrelease.rate_rad_s = 0.02\nejection.at_s = 12.0\n{held}"
     )
     log, own = flyer / "lost.mcap", str(flyer / "mine" / "vehicle.toml")
-    asked = ["hil", own, "--scenario", str(flyer / "lost.toml"), "--most", "20", "--log", str(log)]
+    asked = ["hil", own, "--scenario", str(flyer / "lost.toml"), "--most", "16", "--log", str(log)]
     main([*asked, "--until", "mass 0.1 %", "--segments", str(library)])
     start_ns = truth.read(log)["start_ns"]
     [gone] = events(log, "ejection")
