@@ -41,9 +41,19 @@ def test_thrusters_and_the_pose_of_a_body_on_a_table(tmp_path, named, pose):
     assert '# not taken (no name that is known, or no number): "pressure"' in proposal.text
 
 
-@pytest.mark.parametrize("unit", ["rad", "deg"])
-@pytest.mark.parametrize("largest", [0.15, 12.0])
-@pytest.mark.parametrize("y_sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("unit", "largest", "y_sign"),
+    [  # each pair of the three; the other four are campaigns
+        ("rad", 0.15, 1.0),
+        ("deg", 12.0, 1.0),
+        ("deg", 0.15, -1.0),
+        ("rad", 12.0, -1.0),
+        *(
+            pytest.param(*one, marks=pytest.mark.campaign)
+            for one in (("rad", 12.0, 1.0), ("deg", 0.15, 1.0), ("deg", 12.0, -1.0), ("rad", 0.15, -1.0))
+        ),
+    ],
+)
 def test_the_unit_of_a_heading_is_told_by_where_the_thrusters_push(tmp_path, unit, largest, y_sign):
     """A heading up to 12 rad, or 9 degrees, of which no name says the unit; thrusters in per cent. A body of 8 kg.
 
