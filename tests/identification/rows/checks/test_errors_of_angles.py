@@ -145,7 +145,7 @@ def test_a_cyclic_error_does_to_rows_what_its_column_says(rng):
     ("wrong", "name"),
     [
         (geared(2, 0.92), "scale_joint_2"),
-        (geared(4, 1.07), "scale_joint_4"),
+        pytest.param(geared(4, 1.07), "scale_joint_4", marks=pytest.mark.campaign),  # as of joint 2
         (zero(0, 0, 0.06, 0, 0), "zero_joint_3"),
         (tilted([0.05, 0.0, 0.0]), "level of bench"),
     ],
