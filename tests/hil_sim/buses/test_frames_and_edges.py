@@ -6,6 +6,7 @@ import struct
 import can
 import pytest
 import smbus2
+from can.interfaces.virtual import VirtualBus
 
 from drivers.ports import CanFrame
 from drivers.transports import open_can
@@ -89,6 +90,19 @@ def test_virtual_channel_keeps_stamps_and_ignores_what_is_not_a_base_frame():
         message = near.recv(0)
         assert (message.arbitration_id, bytes(message.data), message.is_extended_id) == (0x182, b"\x01\x02", False)
         assert round(message.timestamp * 1e9) == 123_456_789_012
+    far.close()
+
+
+def test_where_twins_are_asked_before_each_read_none_waits_for_more(clock, monkeypatch):
+    far, looks, due = VirtualCan("heft-looks"), [], [CanFrame(123_456_789_012, 0x182, b"\1")]
+    far.tell_looks(lambda: looks.append(far.give(due[len(looks) : len(looks) + 1])))
+    with install_can():
+        port = open_can("can+virtual://heft-looks?timestamps=monotonic", clock)
+        looks.clear()
+        monkeypatch.setattr(VirtualBus, "_recv_internal", lambda *_: pytest.fail("it waits on the host's clock"))
+        assert port.receive(60.0) == due
+        assert port.receive(60.0) == []
+        port.close()
     far.close()
 
 
