@@ -70,6 +70,7 @@ def test_where_all_is_as_stated_one_solve_is_all() -> None:
     assert one.next(ASKED, first, disturbed=False) is None
     assert one.result is first
     one.settle()
+    assert not any(part is first for part in vars(one).values())  # a checkpoint would write it
     assert suspects.taken_as == [((), ())]
     assert suspects.told == [(0.0, False)]
 
