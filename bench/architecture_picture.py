@@ -7,7 +7,7 @@ nothing is flown. A step of the sample's way whose module is gone is an error.
 import ast
 import importlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -40,16 +40,6 @@ def room_of(module: str) -> str:
     return f"{top}.{rest.split('.')[0]}" if top in OPENED and rest else top
 
 
-def _statements(tree: ast.AST) -> Iterator[ast.AST]:
-    """Those of a file at every depth; expressions, nine nodes of ten, import nothing."""
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
-        yield node
-        of_statements = (ast.stmt, ast.ExceptHandler, ast.match_case)
-        waiting += [child for child in ast.iter_child_nodes(node) if isinstance(child, of_statements)]
-
-
 def imports(root: Path) -> dict[str, set[str]]:
     """The rooms that each room imports."""
     found: dict[str, set[str]] = {}
@@ -61,7 +51,7 @@ def imports(root: Path) -> dict[str, set[str]]:
             if room in OPENED:  # the package's own __init__
                 continue
             names = found.setdefault(room, set())
-            for node in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import):
                     names |= {room_of(alias.name) for alias in node.names}
                 elif isinstance(node, ast.ImportFrom):

@@ -27,8 +27,7 @@ from onboard.identification.quantities import MOST_ALSO
 from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
-CHECKPOINT_TICKS = 20
-CHECKPOINT_NS = 2_000_000_000  # where a step takes longer than it should
+CHECKPOINT_NS = 2_000_000_000
 CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again
 CHECKPOINT_SHARE = 0.1  # of the CPU time of steps: a checkpoint costs 2 to 20 ms, as the estimator's state is large
 LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
@@ -223,8 +222,7 @@ class DurableEstimation:
     def step(self, now_ns: int) -> None:
         """See :meth:`EstimationWorker.step`."""
         self._worker.step(now_ns)
-        due = self._worker.ticks % CHECKPOINT_TICKS == 0 or now_ns - self._saved_ns > CHECKPOINT_NS
-        if due or self._costly():
+        if now_ns - self._saved_ns >= CHECKPOINT_NS or self._costly():
             self._save(now_ns)
 
     def _costly(self) -> bool:

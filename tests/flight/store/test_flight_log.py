@@ -14,7 +14,7 @@ from drivers.records import event
 from onboard import cli, config
 from onboard.cli.common import next_log
 from onboard.flight.estimate import checkpoint
-from onboard.flight.estimate.estimation import CHECKPOINT_TICKS, DurableEstimation, answer_rates_hz, create_rings
+from onboard.flight.estimate.estimation import CHECKPOINT_NS, DurableEstimation, answer_rates_hz, create_rings
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store import directories, manifest, rings
 from onboard.flight.store.flight_log import Started, open_recorder, preamble, step_ns, storage
@@ -250,7 +250,7 @@ def test_an_estimator_without_room_for_a_checkpoint_says_so_and_goes_on(
     for step in range(100):
         worker.step(step * 50_000_000)
     said = RingReader(tmp_path / "event_estimation.ring").read()[0]["code"].tolist()
-    assert said.count(b"no_checkpoint") == 1 + 100 // CHECKPOINT_TICKS
+    assert said.count(b"no_checkpoint") == 1 + 99 * 50_000_000 // CHECKPOINT_NS
     assert len(RingReader(tmp_path / "tick.ring").read()[0]) == 100
 
 

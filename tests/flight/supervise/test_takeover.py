@@ -14,7 +14,7 @@ from onboard import config
 from onboard.flight.acquire.publisher import ExpectedChannel, Publisher
 from onboard.flight.estimate import estimation
 from onboard.flight.estimate.checkpoint import Checkpoint, Checkpoints
-from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_TICKS, DurableEstimation
+from onboard.flight.estimate.estimation import CHECKPOINT_CPU_NS, CHECKPOINT_NS, DurableEstimation
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.store import rings
 from onboard.ground.identify.replay.replay import replay
@@ -142,7 +142,8 @@ def test_an_estimator_killed_again_while_it_repeats_steps_goes_on_from_where_it_
     stretch = Stretch(mission.log, vehicle, directory)
     now_ns = stretch.start_ns
     worker = DurableEstimation(vehicle, directory, now_ns)
-    for _ in range(CHECKPOINT_TICKS - 1):  # the only checkpoint is that of the start
+    assert 19 * STEP_NS < CHECKPOINT_NS  # the only checkpoint is that of the start
+    for _ in range(19):
         now_ns += STEP_NS
         stretch.feed(now_ns)
         worker.step(now_ns)

@@ -192,15 +192,6 @@ def until(happens: Callable[[], bool], longest_s: float) -> None:
 
 
 LONGEST_S = 120.0
-_STRANGER = """
-import sys
-from distributed import Client
-for address in sys.argv[1:]:
-    try:
-        Client(address, timeout=3)
-    except Exception:
-        print(address)
-"""
 CALLED = """[campaign]
 name = "called"
 seeds = 12
@@ -307,9 +298,10 @@ def test_with_tls_as_the_page_says_a_campaign_flies_and_nobody_else_is_heard(
         assert results(out) == expected
         for name in environment:
             monkeypatch.delenv(name)
-        asked = [sys.executable, "-c", _STRANGER, f"tls://127.0.0.1:{port}", f"tcp://127.0.0.1:{port}"]
-        refused = subprocess.run(asked, capture_output=True, text=True, timeout=60, check=True).stdout.split()
-        assert refused == asked[3:]
+        stranger = "from distributed import Client; Client('{}://127.0.0.1:{}', timeout=3)"
+        for protocol in ("tls", "tcp"):
+            asked = [sys.executable, "-c", stranger.format(protocol, port)]
+            assert subprocess.run(asked, capture_output=True, timeout=60, check=False).returncode != 0
 
 
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
