@@ -207,16 +207,21 @@ class CanopenBus:
         return self._handed_over()
 
     def _read_past_a_sync(self) -> bool:
-        """Read on to the next SYNC: a node that is stopped between a SYNC and its answer loses a sample unseen.
+        """Read on to the next SYNC and its answers: a node that is stopped between them loses a sample unseen.
 
-        It may be some periods late. Returns whether it came.
+        It may be some periods late. Returns whether it came. A channel that did not answer the one before is not
+        waited for.
         """
         before, silent, rests = self._sync.tick, 0, 0
-        while self._sync.tick == before and silent <= SILENT_RESTS and rests < RESTS:
+        while (self._sync.tick == before or self._awaits_answers) and silent <= SILENT_RESTS and rests < RESTS:
             frames = self._receive(2e-9 * self._period_ns)
             silent, rests = 0 if frames else silent + 1, rests + 1
             self._dispatch(frames)
         return self._sync.tick != before
+
+    @property
+    def _awaits_answers(self) -> bool:
+        return any(channel.is_awaited for channel in self._synchronous)
 
     def _stop_drives(self, now_ns: int) -> None:
         """Quick stop, and its frames read until the drives have left the enabled state."""

@@ -271,6 +271,31 @@ def test_no_node_is_stopped_before_a_sync_that_is_late(bench):
     assert len(port.sent) > before
 
 
+def test_no_node_is_stopped_between_a_sync_and_its_answer(bench):
+    """Nodes on a busy computer answer a read later than that which brings the SYNC, unless they are stopped by then."""
+    bench.start()
+    bench.run(200)
+    port, receive, awaited = bench.port, bench.port.receive, []
+
+    def receive_late(timeout_s):
+        if port.muted or timeout_s == 0.0:
+            return receive(timeout_s)
+        bench.clock.advance(2_500_000)
+        stopped = any(identifier == 0 for identifier, _ in port.sent[before:])
+        if awaited and not stopped:
+            bench.put(frame for node in bench.nodes.values() for frame in node.on_sync(awaited.pop(), bench.clock()))
+        elif not awaited:
+            awaited.extend([bench.number] * len(bench.nodes))
+            port.put(bench.clock(), 0x080, [bench.number % 240 + 1])
+            bench.number += not stopped
+        return receive(timeout_s)
+
+    port.receive, before = receive_late, len(port.sent)
+    batches = [*bench.batches, *bench.device.stop(bench.clock())]
+    assert not len(of(batches, "gap"))
+    assert whole(batches, "joint_1")["tick"][-1] == bench.number - 1
+
+
 @pytest.mark.parametrize("together", ["a SYNC and its answers", "answers and the next SYNC"])
 def test_what_nodes_answer_until_they_have_read_the_stop_is_taken(bench, together):
     """Nodes on a busy computer: the SYNC before the stop and two after it are answered late, one by one."""

@@ -47,6 +47,11 @@ class SyncChannel(PdoChannel):
         """Whether the SYNC before the last one seen was not answered, nor was the last one yet."""
         return self._unanswered > 0 and not self._held
 
+    @property
+    def is_awaited(self) -> bool:
+        """Whether it answered the SYNC before the last one seen, and the last one not yet."""
+        return self.live and self.started and self._unanswered == 0 and not self._held
+
     def go_live(self) -> None:
         """The node has been started."""
         super().go_live()
