@@ -21,7 +21,7 @@ tests() {    # a part, in the background; one that hangs beyond each test's own 
 }
 python=$heft_venv/bin/python
 timed=$(grep -rl --include='test_*.py' realtime tests | sort)    # only these are collected: a quarter of the time
-tests "$python" -m pytest -m realtime --numprocesses auto --dist worksteal $timed >"$said/realtime" &
+tests "$python" -m pytest -m 'realtime and not campaign' --numprocesses auto --dist worksteal $timed >"$said/realtime" &
 beside=$!
 printf '\n-- all cores, and beside them in real time\n'
 mkfifo "$said/shown"

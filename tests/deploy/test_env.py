@@ -170,7 +170,8 @@ def test_without_arguments_all_tests_run_and_one_line_says_how_they_ended(machin
     assert tested == [
         "tested with -m pytest -m not realtime and not campaign --numprocesses auto --dist loadfile "
         "--no-loadscope-reorder",
-        "tested with -m pytest -m realtime --numprocesses auto --dist worksteal tests/test_a.py tests/test_b.py",
+        "tested with -m pytest -m realtime and not campaign --numprocesses auto --dist worksteal "
+        "tests/test_a.py tests/test_b.py",
     ]
     assert re.fullmatch(r"heft: 60 passed, 2 skipped in \d+ s", done.stdout.splitlines()[-1])
 

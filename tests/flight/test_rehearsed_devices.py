@@ -63,7 +63,16 @@ def init_of(kind: str) -> list[str]:
     return next(rehearsal.init for rehearsal in REHEARSALS.values() if kind in rehearsal.init)
 
 
-@pytest.mark.parametrize("rehearsal", REHEARSALS.values(), ids=REHEARSALS)
+IN_CI = ("bmi088 as5048a bota_ft", "dynamixel", "onrobot_hex")  # I2C and SPI, a stream, servos, datagrams
+
+
+@pytest.mark.parametrize(
+    "rehearsal",
+    [
+        pytest.param(one, id=name, marks=[] if name in IN_CI else [pytest.mark.campaign])
+        for name, one in REHEARSALS.items()
+    ],
+)
 @pytest.mark.realtime
 @pytest.mark.timeout(180)
 def test_it_flies_in_real_time_and_comes_back(tmp_path, rehearsal):
