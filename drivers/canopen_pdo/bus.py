@@ -60,8 +60,7 @@ class CanopenBus:
         guards: Sequence[GuardConfig] = (),
         play: Play | None = None,
     ) -> None:
-        self.name = name
-        self.unclaimed = 0
+        self.name, self.unclaimed = name, 0
         self._report = Reporter(name)
         self._port = BusPort(port, self._report)
         self._period_ns = sync.period_ns
@@ -70,9 +69,8 @@ class CanopenBus:
         self._sync_sent_ns: int | None = None
         self._sync_missed = False
         self._bad_syncs = 0  # since the last one that could be read
-        self._started_ns = 0
         self._pumped_ns: int | None = None
-        self._stood_from_ns = self._stood_to_ns = 0  # of the last time that nobody pumped
+        self._started_ns = self._stood_from_ns = self._stood_to_ns = 0  # stood: the last time that nobody pumped
         self._channels: list[PdoChannel] = []
         self._synchronous: list[SyncChannel] = []
         values = [data for config in nodes for data in config.process_data()]
@@ -212,16 +210,14 @@ class CanopenBus:
         It may be some periods late. Returns whether it came. A channel that did not answer the one before is not
         waited for.
         """
-        before, silent, rests = self._sync.tick, 0, 0
-        while (self._sync.tick == before or self._awaits_answers) and silent <= SILENT_RESTS and rests < RESTS:
-            frames = self._receive(2e-9 * self._period_ns)
-            silent, rests = 0 if frames else silent + 1, rests + 1
-            self._dispatch(frames)
+        before, silent = self._sync.tick, 0
+        for _ in range(RESTS):
+            self._dispatch(frames := self._receive(2e-9 * self._period_ns))
+            silent = 0 if frames else silent + 1
+            there = self._sync.tick != before and not any(channel.is_awaited for channel in self._synchronous)
+            if there or silent > SILENT_RESTS:
+                break
         return self._sync.tick != before
-
-    @property
-    def _awaits_answers(self) -> bool:
-        return any(channel.is_awaited for channel in self._synchronous)
 
     def _stop_drives(self, now_ns: int) -> None:
         """Quick stop, and its frames read until the drives have left the enabled state."""

@@ -132,12 +132,12 @@ def test_lapack_refusing_is_not_passed_over(monkeypatch):
 
 def test_after_a_thousand_time_constants_it_is_positive_definite():
     """Constant regressor with forgetting: covariance filters wind up by e^1000 and go non-finite here."""
-    rls = SquareRootRls(3, forgetting=0.99)
+    rls = SquareRootRls(3, forgetting=0.95)
     rls.prior(np.zeros(3), np.array([1.0, 1e-3, 1e3]))
     row, y, one = np.array([[1.0, 1e-3, 1e3]]), np.array([2.0]), np.ones(1)
-    for k in range(100_000):
+    for k in range(20_000):
         rls.update(row, y, one)
-        if k % 10_000 == 0:
+        if k % 2_000 == 0:
             assert np.linalg.eigvalsh(rls.solve().covariance).min() > 0.0
     found = rls.solve()
     scale = np.sqrt(np.diag(found.covariance))

@@ -332,7 +332,7 @@ def test_a_point_is_as_far_from_any_body_as_chance_makes_it(rng):
     badly: 1 % of the estimates are as rare as 1 %, or fewer; a normal's two sides take a tenth for impossible."""
     point, root = standard_of(RigidBody(2.0, np.zeros(3), np.zeros((3, 3)))), 1e-2 * rng.normal(size=(10, 10))
     root[:4] *= 0.01
-    rare, by_normal, runs, freedom = 0, 0, 200, 24
+    rare, by_normal, runs, freedom = 0, 0, 100, 24
     for _ in range(runs):
         scatter = root @ rng.normal(size=(10, freedom))
         mean, covariance = point + root @ rng.normal(size=10), scatter @ scatter.T / freedom

@@ -30,7 +30,7 @@ def recorded(rng, inertia, amplitude_rad, suspension=HANGING, seconds=35.0, nois
 
 def test_inertia_within_half_a_percent_and_covered(rng):
     inside = 0
-    for _ in range(10):
+    for _ in range(6):
         truth = rng.uniform(0.3, 1.5)
         drawn = Suspension(
             HANGING.mass_kg + 0.005 * rng.standard_normal(),
@@ -42,7 +42,7 @@ def test_inertia_within_half_a_percent_and_covered(rng):
         assert abs(found.inertia_kg_m2 / truth - 1.0) < 5e-3
         inside += abs(found.inertia_kg_m2 - truth) < 1.96 * found.sigma_kg_m2
         assert found.parts["string spacing"] == pytest.approx(1e-3)
-    assert inside >= 8
+    assert inside >= 5
 
 
 def test_the_derivatives_of_a_swing_are_its_differences():

@@ -247,7 +247,7 @@ def swing_readings(rng, **settings):
 
 def test_the_base_by_its_swings(vehicle):
     z, worst = [], 0.0
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         found, hangs = calibrate_bifilar(swing_readings(np.random.default_rng(seed)), vehicle, "imu_base", HUNG)
         assert len(hangs) == 6
         true = BASE.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

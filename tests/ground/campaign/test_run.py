@@ -241,6 +241,25 @@ def test_one_flight_is_flown_again_and_keeps_its_log(
     assert cli.main(["campaign", "plan.toml", "--again", "none"]) == cli.BAD_INPUT
 
 
+def test_what_has_failed_is_flown_again_where_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown, out = tmp_path / "flown", tmp_path / "out"
+    plan = written(tmp_path, CALLED.replace("12", "3").replace("0.15", "0.0") + f'flown = "{flown}"\nfails = [2]\n')
+
+    def serially(left, code, fly, _where, store, _watcher) -> None:  # type: ignore[no-untyped-def]
+        for address, item in left.items():
+            store.take(address, item, code, fly(item, code))
+
+    monkeypatch.setattr("onboard.ground.campaign.engine.run", serially)
+    for more in ((), (), ("--retry",)):
+        assert cli.main(["campaign", str(plan), "-o", str(out), *more]) == cli.FAILED
+    assert flown.read_text().split() == ["1", "2", "3", "2"]
+    (kept,) = (out / "failed").glob("*.json")
+    assert "RuntimeError: seed 2 does not fly" in kept.read_text()
+
+
+@pytest.mark.campaign  # a worker that is killed: above; scheduler, workers and clients of their own: below
 def test_scheduler_and_client_are_killed_and_every_flight_is_there_once(tmp_path: Path) -> None:
     """One flight fails, once; and once again when that is asked for."""
     flown = tmp_path / "flown"

@@ -93,7 +93,7 @@ def test_a_throw_that_only_the_wheel_turns_is_weak_about_the_other_axes(
     assert "I_zz" not in found.verdict.weak
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, *(pytest.param(other, marks=pytest.mark.campaign) for other in (1, 2))])
 def test_a_gyro_axis_of_the_wrong_sign_contradicts_the_wheel(
     tmp_path: Path, rng: np.random.Generator, axis: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,7 +143,7 @@ def test_a_throw_cut_short_gives_no_answer_and_no_urdf(
     assert not urdf.exists()
 
 
-@pytest.mark.parametrize("factor", [0.75, 0.85])
+@pytest.mark.parametrize("factor", [pytest.param(0.75, marks=pytest.mark.campaign), 0.85])
 def test_a_gyro_that_reads_another_scale_than_it_was_calibrated_to_is_not_good(
     tmp_path: Path, rng: np.random.Generator, factor: float
 ) -> None:

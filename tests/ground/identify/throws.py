@@ -22,12 +22,16 @@ def fly(inertia, centre, w0, duration_s=0.78):
         x = np.clip((time - 0.15) / 0.3, 0.0, None)
         return SPUN_UP_RAD_S * (1 - np.exp(-3 * x)), SPUN_UP_RAD_S * 10 * np.exp(-3 * x) * (x > 0)
 
-    def acceleration(time, w):
-        s, ds = wheel(time)
-        return np.linalg.solve(inertia, -np.cross(w, inertia @ w + WHEEL * s * AXIS) - WHEEL * ds * AXIS)
+    inverse = np.linalg.inv(inertia)
 
-    w = solve_ivp(acceleration, (0, t[-1]), w0, t_eval=t, rtol=1e-10, atol=1e-10).y.T
-    dw = np.array([acceleration(time, one) for time, one in zip(t, w, strict=True)])
+    def acceleration(time, w):  # (3,) or (3, k)
+        s, ds = wheel(time)
+        h = inertia @ w + np.multiply.outer(AXIS, WHEEL * s)
+        moment = np.array([w[2] * h[1] - w[1] * h[2], w[0] * h[2] - w[2] * h[0], w[1] * h[0] - w[0] * h[1]])
+        return inverse @ (moment - np.multiply.outer(AXIS, WHEEL * ds))
+
+    w = solve_ivp(acceleration, (0, t[-1]), w0, t_eval=t, rtol=1e-10, atol=1e-10).y
+    w, dw = w.T, acceleration(t, w).T
     return t, w, -np.cross(dw, centre) - np.cross(w, np.cross(w, centre)), wheel(t)[0]
 
 

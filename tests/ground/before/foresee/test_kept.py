@@ -17,6 +17,7 @@ from onboard.regressor.rows import BaseMotion
 
 _MASS = Expected("mass_payload", "kg", 0.1 + 0.2, 1.0 / 3.0, Level.GOOD)
 _DRAG = Expected("drag_1", "N s/m", 0.0, float("nan"), Level.WEAK, "not determined")
+_ROCKSAT = config.named("rocksat")
 _PAYLOAD = RigidBody(0.3, np.array([0.1, 0.2, 1.0 / 3.0]), np.eye(3) / 7.0)
 
 
@@ -48,7 +49,7 @@ def cache(tmp_path, monkeypatch):
 def _asked(bound, plan=None, vehicle=None):
     """How often the bound was asked by one call; what comes is always the same."""
     before = bound.asked
-    found = kept(vehicle or config.named("rocksat"), plan or _plan(), bound)
+    found = kept(vehicle or _ROCKSAT, plan or _plan(), bound)
     assert repr(found) == repr(bound.result)
     return bound.asked - before
 
@@ -69,7 +70,7 @@ def test_another_vehicle_motion_or_version_is_another_result(cache, monkeypatch)
     q[3] = np.nextafter(q[3], 1.0)
     assert _asked(bound, _plan(q=q)) == 1
     assert _asked(bound, _plan(bases=())) == 1
-    assert _asked(bound, vehicle=config.named("rocksat").with_row_rate(40.0)) == 1
+    assert _asked(bound, vehicle=_ROCKSAT.with_row_rate(40.0)) == 1
     assert _asked(bound, vehicle=config.named("capture")) == 1
     monkeypatch.setattr(module, "_code", lambda: ["another"])
     assert _asked(bound) == 1
@@ -141,9 +142,11 @@ def test_without_a_cache_it_is_made_each_time(tmp_path, monkeypatch):
     assert Path(tmp_path / "heft").read_text() == "mine"
 
 
-def test_the_oldest_of_many_are_thrown_away(cache):
+def test_the_oldest_of_many_are_thrown_away(cache, monkeypatch):
+    assert module._MOST_FILES == 64
+    monkeypatch.setattr(module, "_MOST_FILES", 8)
     bound = _Bound()
-    for number in range(70):
+    for number in range(14):
         _asked(bound, _plan(velocity_m_s=np.full(3, float(number))))
-    assert len(list(cache.iterdir())) == 64
-    assert _asked(bound, _plan(velocity_m_s=np.full(3, 69.0))) == 0
+    assert len(list(cache.iterdir())) == 8
+    assert _asked(bound, _plan(velocity_m_s=np.full(3, 13.0))) == 0

@@ -12,7 +12,7 @@ AT = ["--at", "joint_2=34.4", "--at", "joint_4=45.8"]
 
 def test_tables_json_and_figures(tmp_path, capsys):
     path = tmp_path / "found.json"
-    asked = ["--line=-0.06,0.08,-0.05", "--seconds", "4", "--map", "joint_2", "joint_4", "--turn=1,-2,3"]
+    asked = ["--line=-0.06,0.08,-0.05", "--seconds", "2", "--map", "joint_2", "joint_4", "--turn=1,-2,3"]
     code = cli.main(["mechanics", "dymaflex", *AT, *asked, "--json", str(path), "--figures", str(tmp_path)])
     shown = capsys.readouterr().out
     assert code == cli.OK

@@ -9,8 +9,9 @@ from onboard.ground.log.bring_in.text_rows import unbroken
 from tests.ground.calibrate.weigh.test_tables import WRENCH
 from tests.ground.calibrate.weigh.wrist_bench import GRAVITY, holds, record, turn, weighed, write
 
+pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # what angles mean is chosen by fits
 
-@pytest.mark.usefixtures("axes_as_they_are")  # what angles mean is chosen by fits
+
 @pytest.mark.parametrize(
     ("header", "made", "options"),
     [
@@ -154,7 +155,6 @@ def test_where_up_is_by_an_accelerometer(tmp_path, names, unit):
     assert weighed(tmp_path, rates, header=("gx", "gy", "gz", *WRENCH))[0] == BAD_INPUT
 
 
-@pytest.mark.usefixtures("axes_as_they_are")
 def test_joint_angles_and_a_urdf(one, tmp_path, capsys):
     """A shoulder about z, an elbow about y, a wrist about x: the product of the three turns."""
     rng = np.random.default_rng(5)

@@ -25,14 +25,14 @@ def lab(tmp_path_factory):
 
 
 def _recorded(lab, directory, held_kg, lean_rad, name):
-    """A log of 20 s, of a base that leans about x and y, (2,)."""
+    """A log of 12 s, of a base that leans about x and y, (2,)."""
     model = pin.buildModelFromXML((lab / "vehicle.urdf").read_text())
     model.gravity.linear = pin.rpy.rpyToMatrix(*lean_rad, 0.0).T @ [0.0, 0.0, -_G]
     hand, rng = model.frames[model.getFrameId("payload")], np.random.default_rng(len(name))
     model.appendBodyToJoint(
         hand.parentJoint, pin.Inertia(held_kg, _CENTRE_m, 2e-3 * held_kg * np.eye(3)), hand.placement
     )
-    data, t = model.createData(), 0.02 * np.arange(1000)
+    data, t = model.createData(), 0.02 * np.arange(600)
     rate, begin = 2.0 * np.pi * rng.uniform(0.1, 0.4, (3, 3)), rng.uniform(0.0, 6.3, (3, 3))
     turns = rate[:, None] * t[:, None] + begin[:, None]  # (3, n, joints)
     q, dq = 0.4 * np.sin(turns).sum(axis=0), 0.4 * (rate[:, None] * np.cos(turns)).sum(axis=0)

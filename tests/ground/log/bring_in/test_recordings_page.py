@@ -112,6 +112,7 @@ def test_a_thrown_body(tmp_path, monkeypatch):
         assert found[name]["value"] == pytest.approx(truth, rel=0.05)
 
 
+@pytest.mark.campaign  # such a body by the same commands: tests/ground/identify/kinds/test_body.py
 def test_a_floating_body(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     bed = floating_bed.fly(62)
