@@ -7,7 +7,7 @@ nothing is flown. A step of the sample's way whose module is gone is an error.
 import ast
 import importlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -40,23 +40,28 @@ def room_of(module: str) -> str:
     return f"{top}.{rest.split('.')[0]}" if top in OPENED and rest else top
 
 
-def imports(root: Path) -> dict[str, set[str]]:
-    """The rooms that each room imports."""
-    found: dict[str, set[str]] = {}
+def modules(root: Path) -> Iterator[tuple[str, tuple[str, ...], Path]]:
+    """Each module of a room: its room, the parts of its name (the last one of a package is empty), its file."""
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             parts = path.relative_to(root).with_suffix("").parts
             here = parts if path.name != "__init__.py" else (*parts[:-1], "")
             room = room_of(".".join(part for part in here if part))
-            if room in OPENED:  # the package's own __init__
-                continue
-            names = found.setdefault(room, set())
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Import):
-                    names |= {room_of(alias.name) for alias in node.names}
-                elif isinstance(node, ast.ImportFrom):
-                    base = [*here[: -node.level], node.module or ""] if node.level else [node.module or ""]
-                    names |= {room_of(".".join(filter(None, [*base, alias.name]))) for alias in node.names}
+            if room not in OPENED:  # the package's own __init__
+                yield room, here, path
+
+
+def imports(root: Path) -> dict[str, set[str]]:
+    """The rooms that each room imports."""
+    found: dict[str, set[str]] = {}
+    for room, here, path in modules(root):
+        names = found.setdefault(room, set())
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {room_of(alias.name) for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                base = [*here[: -node.level], node.module or ""] if node.level else [node.module or ""]
+                names |= {room_of(".".join(filter(None, [*base, alias.name]))) for alias in node.names}
     return {room: {name for name in names if name in found} - {room} for room, names in found.items()}
 
 

@@ -188,19 +188,17 @@ class BotaFt(ScalarStream[WrenchChannel]):
         self._broken = False
         table = table[used]
         self._tell_status(host_ns, table["status"])
-        good = (table["status"] & (INVALID | RAW)) == 0
+        values = np.column_stack([table["wrench"], table["temperature_c"]]).astype(np.float64)  # (n, 7), by component
+        is_number = np.abs(values) < LARGEST  # false of what is not finite
+        raw = np.rint(np.where(is_number, values, 0.0) / STEP)
+        of_rows = np.array(status, np.uint8)[:, None] | ~is_number * np.uint8(SampleStatus.NOT_VALID)
+        bad = ((table["status"] & (INVALID | RAW)) != 0) * np.uint8(SampleStatus.NOT_VALID)
         beyond = ((table["status"] & OVERRANGE) != 0) * np.uint8(SampleStatus.SATURATED)
+        of_rows[:, :TEMPERATURE] |= (bad | beyond)[:, None]
         for one in self._channels.values():
             rows = self._rows(one, host_ns, numbers, ticks)
-            warm = one.component == TEMPERATURE
-            values = (table["temperature_c"] if warm else table["wrench"][:, one.component]).astype(np.float64)
-            is_number = np.abs(values) < LARGEST  # false of what is not finite
-            rows["value_raw"] = np.rint(np.where(is_number, values, 0.0) / STEP)
-            rows["scale"] = STEP
-            rows["device_status"] = table["status"] & 0xFF
-            valid = is_number if warm else is_number & good
-            rows["status"] = np.array(status, np.uint8) | ~valid * np.uint8(SampleStatus.NOT_VALID)
-            rows["status"] |= np.uint8(0) if warm else beyond
+            rows["value_raw"], rows["scale"] = raw[:, one.component], STEP
+            rows["device_status"], rows["status"] = table["status"] & 0xFF, of_rows[:, one.component]
             self._report.rows(one.channel, rows)
 
     def _follows(self, host_ns: int, time_us: int) -> tuple[int, int] | None:

@@ -26,6 +26,7 @@ def test_what_misses_a_bar_is_told() -> None:
     assert not fine_too
 
 
+@pytest.mark.campaign  # how a run is judged: above and below; the flight: test_tumble, test_spherical_bearing
 def test_a_run_on_the_table(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bodies, "EDITS", {"mass weighed": bodies.WEIGHED})
     monkeypatch.setattr("sys.argv", ["bodies", "planar", "--seeds", "1", "--first", "900", "--seconds", "30"])

@@ -8,7 +8,11 @@ from drivers.records import Batch
 def of(batches: list[Batch], channel: str) -> np.ndarray:
     """All rows of a channel, in order."""
     rows = [batch.rows for batch in batches if batch.channel == channel]
-    return np.concatenate(rows) if rows else np.zeros(0, [("sequence", "<u8")])
+    if not rows:
+        return np.zeros(0, [("sequence", "<u8")])
+    assert len({part.dtype for part in rows}) == 1
+    data = bytearray(b"".join(part.tobytes() for part in rows))  # np.concatenate compares types field by field
+    return np.frombuffer(data, rows[0].dtype)
 
 
 def codes(batches: list[Batch]) -> list[str]:

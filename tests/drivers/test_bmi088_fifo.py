@@ -119,6 +119,10 @@ class Flight(ChipFlight):
 
 
 CHIPS = pytest.mark.parametrize("chip", [OnI2c, OnSpi])
+AT_ANY_PLACE = pytest.mark.parametrize(
+    "chip",
+    [pytest.param(OnI2c, marks=pytest.mark.campaign), OnSpi],  # of chips on I2C: test_chip_laws
+)
 
 
 def test_frames_as_they_are_coded():
@@ -248,7 +252,7 @@ def test_a_host_that_was_away_too_long_counts_what_ran_over(clock, die):
     assert np.diff(rows["sequence"].astype(int)) == pytest.approx(true_ns / ACCEL_NS, abs=0.2)
 
 
-@CHIPS
+@AT_ANY_PLACE
 def test_one_failed_transfer_at_any_place_is_survived(clock, chip):
     for place in range(60):
         model, code = chip(clock, transfer_ns=20_000), (errno.EREMOTEIO, errno.EIO)[place % 2]
@@ -263,7 +267,7 @@ def test_one_failed_transfer_at_any_place_is_survived(clock, chip):
         assert np.diff(rows["sequence"].astype(int)) == pytest.approx(true_ns / ACCEL_NS, abs=0.2), place
 
 
-@CHIPS
+@AT_ANY_PLACE
 @pytest.mark.parametrize(
     ("first", "code"),
     [

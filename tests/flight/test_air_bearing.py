@@ -196,6 +196,7 @@ def test_a_puck_at_a_frame_that_the_urdf_does_not_have(
         assert why in said
 
 
+@pytest.mark.campaign  # heft predict: test_witness; drag: above
 def test_what_the_predicted_yaw_leaves_is_drag(log: Path, tmp_path: Path) -> None:
     """``heft predict`` with the true payload: without drag it is the measured yaw, and one dragging puck shows."""
     urdf = tmp_path / "held.urdf"

@@ -30,7 +30,8 @@ def test_an_arm_of_magnets_is_weighed_with(tmp_path):
     assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # two chips have noise of their own
 
 
-@pytest.mark.parametrize("kind", [pytest.param("as5048a", marks=pytest.mark.campaign), "as5048b"])
+@pytest.mark.campaign  # the driver: test_magnets, test_as5048; in flight: test_i2c_devices
+@pytest.mark.parametrize("kind", ["as5048a", "as5048b"])
 def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path, kind):
     faults = [
         *("--fault", "field:joint_1:2:3:-0.7", "--fault", "field:joint_2:3:3.5:0.8", "--fault", "off:joint_2:4:4.5"),
@@ -47,6 +48,7 @@ def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path
     assert rows["host_ns"][-1] - rows["host_ns"][0] > 5.8e9
 
 
+@pytest.mark.campaign  # an adapter of I2C: test_bmi088_flight; SPI: test_as5048
 def test_an_adapter_that_is_unplugged_comes_back(tmp_path):
     result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], "--fault", "unplug:spi_1:2:3", swing=4.5, change=SPARSE)
     honest({name: row for name, row in answers(result).items() if row["supported"]})

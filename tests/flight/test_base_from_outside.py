@@ -38,6 +38,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+@pytest.mark.campaign  # its rows: below; a flight with a package from outside: test_toy_device
 def test_a_flight_is_identified_with_it(installed: Path, short_mission: Result) -> None:
     answers: dict[str, Any] = {}
     for base in ("prescribed", "rail"):

@@ -12,6 +12,7 @@ FREE = ["--base", "free", "--joints", "2", "--imu"]
 INERTIAL = [*FREE, "bmi088"]
 
 
+@pytest.mark.campaign  # with an IMU of another kind: test_rehearsal; with what it lost: below; its clock: test_devices
 def test_a_free_arm_weighs_with_it(tmp_path):
     result, log, _ = rehearsed(tmp_path, [*FREE, "bmi088_spi"], swing=4.0)
     honest(answers(result))

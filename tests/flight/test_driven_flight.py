@@ -65,6 +65,7 @@ def last_answers(log: LogReader, mission: DrivenFlight) -> dict[str, Any]:
     return last
 
 
+@pytest.mark.campaign  # its answers: below; by torques that are read: test_joint_torques
 def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
     """Torques that are read are what moves the arm and what the drives' friction takes."""
     vehicle = written(tmp_path, torque=True)

@@ -86,6 +86,7 @@ def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(catch: Result, 
     assert sum(row["covered"] for row in told) >= 8
 
 
+@pytest.mark.campaign  # of free flyers with torques and with poses: test_joint_torques, test_pose_tracker
 def test_replay_gives_the_onboard_estimates_to_the_bit(catch: Result) -> None:
     found = replay(catch.path)
     assert found.identical, found.summary
@@ -129,6 +130,7 @@ def test_it_flies_in_real_time_too(tmp_path: Path) -> None:
     assert replay(flown.log).identical
 
 
+@pytest.mark.campaign  # of rocksat: test_overload
 def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_late(
     catch: Result, tmp_path: Path
 ) -> None:
@@ -144,9 +146,8 @@ def test_a_computer_of_less_than_half_the_speed_that_it_needs_tells_the_capture_
     assert mass["low"] < catch.mass("m_payload")["truth"] < mass["high"]
 
 
-@pytest.mark.parametrize(
-    "fault", ["slipped:joint_2:8::3", pytest.param("wrong:joint_2:8::0.05", marks=pytest.mark.campaign)]
-)
+@pytest.mark.campaign  # of ticks: test_encoder_jumps, test_jump_watch; in flight, of rocksat: test_honesty
+@pytest.mark.parametrize("fault", ["slipped:joint_2:8::3", "wrong:joint_2:8::0.05"])
 def test_the_flight_goes_on_after_an_encoder_has_become_another_one(tmp_path: Path, fault: str) -> None:
     """While the payload is held, on board and afterwards: it is told, and another scale is named."""
     kind, device, start_s, _, value = fault.split(":")

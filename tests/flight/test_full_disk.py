@@ -14,7 +14,7 @@ from onboard.recording.space import refusal
 from tests.flight.missions import SHORT, inline, sweep
 
 LIMIT = 300_000  # bytes of a file
-SHORTER = [SHORT[0] | {"duration_s": 2.5}, sweep(5, 0.6), *SHORT[2:4], sweep(4, 0.6), SHORT[5]]
+SHORTER = [SHORT[0] | {"duration_s": 2.0}, sweep(3, 0.5), SHORT[3] | {"duration_s": 0.5}, sweep(3, 0.5), SHORT[5]]
 
 
 @pytest.mark.usefixtures("own_rings")

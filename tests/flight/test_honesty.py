@@ -108,9 +108,10 @@ def test_a_release_that_is_told_by_a_glitch_is_outvoted_and_the_true_one_is_not(
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
 
 
+@pytest.mark.campaign  # of rows: test_cells_and_releases; one of two in flight: test_fault_matrix
 @pytest.mark.parametrize(
     ("kind", "value", "code"),
-    [pytest.param("stuck", 0.0, "stuck", marks=pytest.mark.campaign), ("wrong", -2.0, "left_out")],
+    [("stuck", 0.0, "stuck"), ("wrong", -2.0, "left_out")],
 )
 def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
     tmp_path: Path, kind: str, value: float, code: str

@@ -17,10 +17,10 @@ HALF_NS = 32_000_000_000  # of a mission: both sweeps with the tip mass
 ROCKSAT = config.load(config.packaged("rocksat"))
 
 
-def test_a_flights_log_says_again_what_the_flight_said(mission: Result) -> None:
-    found = identify(ROCKSAT, [mission.path])
+def test_a_flights_log_says_again_what_the_flight_said(short_mission: Result) -> None:
+    found = identify(ROCKSAT, [short_mission.path])
     (log,) = found.logs
-    flown = last_answers(mission.log)
+    flown = last_answers(short_mission.log)
     again = {answer.name: answer for answer in log.answers}
     assert found.supported
     assert set(again) == set(flown)

@@ -84,6 +84,7 @@ def test_friction_of_each_drive_is_found(vehicle: config.Vehicle, flown: Result)
         assert abs(ekf.state[at] - truth) < 4.0 * sigma
 
 
+@pytest.mark.campaign  # a cell of a wrong scale: test_witness; of lines: test_fusion
 def test_a_torque_that_reads_half_is_left_out_by_its_name(vehicle: config.Vehicle, tmp_path: Path) -> None:
     """The drive's rated torque is 10 N m."""
     found = flight(vehicle, tmp_path / "half.mcap", {"device": {"joint_2": {"rated_torque_N_m": 5.0}}}, 9.0)

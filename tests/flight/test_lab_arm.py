@@ -175,6 +175,7 @@ def test_the_tx40s_published_parameters(datasets: Path, tmp_path: Path) -> None:
     assert np.median(wls) < 0.0079
 
 
+@pytest.mark.campaign  # another run predicted: test_friction_rotors_and_a_coupled_wrist; a recorded arm: the TX40
 def test_the_lwr4s_other_run(datasets: Path, tmp_path: Path) -> None:
     for number in (1, 2):
         source = datasets / "kuka_lwr4" / f"HW_measurements_{number}.npz"

@@ -20,6 +20,7 @@ SHORT = [
 HELD = {"mass_kg": [2.0, 2.0], "size_mm": [100, 80, 80], "centre_of_mass_mm": [10, -15, 40]}
 
 
+@pytest.mark.campaign  # by RTDE: test_ur_arm; by a wrist sensor: test_workshop
 def test_two_kilograms_are_told_within_two_per_cent(tmp_path: Path) -> None:
     """The packaged mission, shorter: the sensor's zeros are off by newtons, and its table leans."""
     run = fly(tmp_path / "arm.mcap", vehicle="lab_ur", payload=HELD, sequence=SHORT)
@@ -34,7 +35,7 @@ def test_two_kilograms_are_told_within_two_per_cent(tmp_path: Path) -> None:
     assert len([row for row in told if row["quantity"].endswith("_payload")]) == 10
 
 
-@pytest.mark.campaign  # weighing with boxes: test_wrist_flights; what a line lost is counted: test_wrist_box
+@pytest.mark.campaign  # weighing by a wrist sensor: test_workshop; what a line lost is counted: test_wrist_box
 def test_a_sensor_with_its_own_box_weighs_as_well_and_what_its_cable_lost_is_counted(tmp_path: Path) -> None:
     """The same arm; the box by UDP, its own oscillator and rate, 0.4 s of it lost."""
     arm = tmp_path / "lab_ur"

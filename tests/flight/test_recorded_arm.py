@@ -180,6 +180,7 @@ def test_gains_and_a_drawing_that_are_not_as_stated_are_told_by_key_and_taken_wi
         assert key in said
 
 
+@pytest.mark.campaign  # an empty and a loaded recording, known gains or not: above
 def test_the_ur10e_is_weighed_as_init_writes_it(datasets: Path, tmp_path: Path) -> None:
     """2.805 kg, by a URDF and motor currents times published constants, which are 5 % off; by every second row."""
     folder, gains = datasets / "ur10e", (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)

@@ -68,6 +68,7 @@ def test_a_free_flyer_of_one_s_own(tmp_path, capsys):
     assert expected["m_payload"] == pytest.approx(rows["m_payload"]["sigma"], rel=0.7)
 
 
+@pytest.mark.campaign  # weak of what is not determined: the spinning body
 def test_a_planar_arm_without_a_load_cell(tmp_path):
     """Both axes are parallel: what turns about them is determined, and nothing is claimed of the rest."""
     result, code = rehearsed(tmp_path, ["--base", "free", "--urdf", str(OWN / "planar_arm.urdf")], SWING, seed=2)
@@ -105,6 +106,7 @@ duration_s = 6.0
 """
 
 
+@pytest.mark.campaign  # rest and motion with other devices: test_as5048_flight, test_i2c_devices
 def test_an_arm_with_a_cell_that_rests_before_it_moves(tmp_path):
     """Was refused: "load_cell reads -18% of the motion from one time on". A resting encoder has no noise."""
     result, code = rehearsed(
@@ -116,7 +118,7 @@ def test_an_arm_with_a_cell_that_rests_before_it_moves(tmp_path):
     assert rows["MY_payload"]["supported"]
 
 
-@pytest.mark.campaign  # currents and friction: test_lab_arm, test_student_arm; a URDF of its own: above
+@pytest.mark.campaign  # currents and friction: test_lab_arm, test_servo_arm; a URDF of its own: above
 def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
     """Torques of CiA 402 drives in gravity: friction and the groups that gravity and motion determine."""
     init = ["--base", "fixed", "--encoder", "cia402", "--urdf", str(OWN / "bench_arm.urdf")]

@@ -175,6 +175,7 @@ def test_one_seed_one_log(brief_mission: Result, tmp_path: Path) -> None:
     assert again.path.read_bytes() == brief_mission.path.read_bytes()
 
 
+@pytest.mark.campaign  # masses as they were built: the first test
 def test_the_answer_follows_the_truth_and_not_the_drawing(heavy: Result) -> None:
     tip = heavy.mass("m_tip_mass")
     assert tip["truth"] == pytest.approx(1.2 * 0.06627)

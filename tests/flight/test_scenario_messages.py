@@ -112,7 +112,8 @@ def test_a_payload_that_is_held_otherwise_than_the_vehicle_file_states(
     over: str, stated: str, warned: str, vehicle: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, file = vehicle.parent / "over.toml", vehicle.parent / "other.toml"
-    path.write_text(over)
+    seconds = 10.0 if over == CAUGHT else 1.0
+    path.write_text(f'{over}\n[[sequence]]\nphase = 1\naction = "hold"\nduration_s = {seconds}\n')
     file.write_text(vehicle.read_text().replace("held_at_start = true", f"held_at_start = {stated}"))
     assert cli.main(["hil", str(file), "--scenario", str(path), "--faults"]) == cli.OK
     said = capsys.readouterr().err

@@ -26,7 +26,10 @@ SHORT = {
 }
 
 
-@pytest.fixture(scope="module", params=["rocksat_serial", "rocksat_mixed"])
+MIXED = pytest.param("rocksat_mixed", marks=pytest.mark.campaign)  # flown with faults: test_fault_matrix
+
+
+@pytest.fixture(scope="module", params=["rocksat_serial", MIXED])
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Result:
     return fly(tmp_path_factory.mktemp(request.param) / "flight.mcap", SEED, vehicle=request.param, **SHORT)
 

@@ -16,7 +16,7 @@ WITH_CELL = [*ARM, "--load-cell", "nau7802"]
 CHANNELS = ("joint_1", "joint_1_torque", "joint_2", "joint_2_torque")
 
 
-@pytest.mark.campaign  # by their currents: test_student_arm
+@pytest.mark.campaign  # by their currents: test_servo_arm
 def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     result, log, _ = rehearsed(tmp_path, ARM, swing=8.0, seed=6)
     honest(answers(result))
@@ -29,7 +29,7 @@ def test_an_arm_of_servos_is_weighed_with_by_their_currents(tmp_path):
     assert codes_of(log, b"joint_2") == [b"identified"]
 
 
-@pytest.mark.campaign  # by currents: test_student_arm; by a bridge: test_as5048_flight
+@pytest.mark.campaign  # by currents: test_servo_arm; by a bridge: test_as5048_flight
 def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
     result, _, _ = rehearsed(tmp_path, WITH_CELL, rest=3.0, swing=14.0, seed=6)
     honest(answers(result))
@@ -38,6 +38,7 @@ def test_an_arm_of_servos_and_a_bridge_is_weighed_with(tmp_path):
     assert abs(moment["value"] - moment["truth"]) < 3.0 * moment["sigma"]
 
 
+@pytest.mark.campaign  # the driver: test_dynamixel_device, test_serial_laws; in flight: test_servo_arm
 def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
     faults = [
         *("--fault", "unplug:tty_servos:1.5:2.5", "--fault", "off:joint_2:3.2:4.2", "--fault", "garbage:joint_1:5:5.2"),
@@ -54,6 +55,7 @@ def test_it_survives_unplugging_brown_out_garbage_and_loss(tmp_path):
         assert len(rows) > 800
 
 
+@pytest.mark.campaign  # of the driver: test_dynamixel_device
 def test_an_overload_is_named_and_its_current_is_not_used(tmp_path):
     result, log, _ = rehearsed(
         tmp_path, ARM, "--fault", "trip:joint_2:2:3", "--fault", "trip:joint_1:3:4:4", swing=4.0, change=SPARSE

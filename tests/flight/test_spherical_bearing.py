@@ -216,6 +216,32 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
 
 
+def files_of_the_page(directory: Path) -> None:
+    """Its mapping and its vehicle file, with the packaged drawing."""
+    mapping, vehicle = blocks(DOCS.read_text(encoding="utf-8"))
+    (directory / "bench.toml").write_text(mapping, encoding="utf-8")
+    (directory / "vehicle.toml").write_text(vehicle, encoding="utf-8")
+    drawing = config.packaged("spherical_bearing").with_name("spherical_bearing.urdf")
+    (directory / drawing.name).write_text(drawing.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+COLUMNS = "time_s,gx,gy,gz,ax,ay,az,wheel_x,wheel_y,wheel_z,phase"
+
+
+def test_the_files_of_the_page_are_read_and_name_the_same_channels(tmp_path: Path) -> None:
+    files_of_the_page(tmp_path)
+    still = np.zeros((400, 11))
+    still[:, 0] = 5e-3 * np.arange(400)
+    np.savetxt(tmp_path / "run.csv", still, "%.4f", ",", header=COLUMNS, comments="")
+    assert main(["import", str(tmp_path / "bench.toml"), str(tmp_path / "run.csv"), "-o", str(tmp_path)]) == 0
+    read, vehicle = LogReader(tmp_path / "run.mcap"), config.load(tmp_path / "vehicle.toml")
+    assert set(vehicle.channels) <= set(read.channels)
+    assert len(read.read("wheel_x")) == 400
+    run, _ = build_online(vehicle)
+    assert isinstance(run, PivotRun)
+
+
+@pytest.mark.campaign  # its files: above; what is told of a flight: test_the_ground_tells_the_same
 def test_a_recording_is_identified_by_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """CSV of gyro, accelerometer, wheel speeds and phase, by the mapping and the vehicle file of the page."""
     rng = np.random.default_rng(5)
@@ -229,15 +255,10 @@ def test_a_recording_is_identified_by_the_page(tmp_path: Path, capsys: pytest.Ca
     speeds = speeds + 0.02 * rng.standard_normal(speeds.shape)
     t = 5e-3 * np.arange(len(rate))
     phase = np.where(t < 4.0, 0, np.where(t < plant.events_s["capture"], 1, 2))
-    names = "time_s,gx,gy,gz,ax,ay,az,wheel_x,wheel_y,wheel_z,phase"
     formats = ["%.4f"] + ["%.6f"] * 9 + ["%d"]
     table = np.column_stack([t, rate, force, speeds, phase])
-    np.savetxt(tmp_path / "run.csv", table, formats, ",", header=names, comments="")
-    mapping, vehicle = blocks(DOCS.read_text(encoding="utf-8"))
-    (tmp_path / "bench.toml").write_text(mapping, encoding="utf-8")
-    (tmp_path / "vehicle.toml").write_text(vehicle, encoding="utf-8")
-    drawing = config.packaged("spherical_bearing").with_name("spherical_bearing.urdf")
-    (tmp_path / drawing.name).write_text(drawing.read_text(encoding="utf-8"), encoding="utf-8")
+    np.savetxt(tmp_path / "run.csv", table, formats, ",", header=COLUMNS, comments="")
+    files_of_the_page(tmp_path)
     assert main(["import", str(tmp_path / "bench.toml"), str(tmp_path / "run.csv"), "-o", str(tmp_path)]) == 0
     [found] = identify(config.load(tmp_path / "vehicle.toml"), [tmp_path / "run.mcap"]).logs
     assert found.verdict.level is Level.GOOD, found.verdict.text

@@ -27,6 +27,7 @@ def mass(run: Result) -> dict[str, float]:
     return row
 
 
+@pytest.mark.campaign  # servos' currents: test_servo_arm; a cell: test_workshop; a width asked for: test_verdict
 def test_a_payload_is_weighed_on_board_and_from_the_log(tmp_path: Path) -> None:
     run = flown(tmp_path, 7.5)
     assert run.table["accounted"]

@@ -34,6 +34,7 @@ def rehearse(place: Path, *options: str, take: Callable[[Path], object]) -> tupl
     return flight.returncode, out, " ".join(err.split()), Path(named)
 
 
+@pytest.mark.campaign  # the log: test_taken_files; what a rehearsal prints then: test_full_disk
 @pytest.mark.timeout(120)
 def test_a_rehearsal_whose_log_is_removed_says_what_is_lost_and_keeps_the_rest(tmp_path: Path) -> None:
     code, out, err, log = rehearse(tmp_path, take=lambda log: shutil.rmtree(log.parent))
@@ -51,7 +52,7 @@ def test_a_rehearsal_whose_log_is_removed_says_what_is_lost_and_keeps_the_rest(t
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.campaign  # a log that is removed: above; one that is cut off in flight: test_kill
+@pytest.mark.campaign  # the log: test_taken_files; one that is cut off in flight: test_kill
 def test_a_rehearsal_whose_log_is_cut_off_says_what_is_lost(tmp_path: Path) -> None:
     code, _, err, log = rehearse(tmp_path, take=lambda log: os.truncate(log, 150_000))
     assert code == cli.FAILED

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from hil_sim.mission import VIRTUAL_START_NS
+from onboard import cli
 from onboard.recording.reader import LogReader
 from tests.flight import elsewhere
 from tests.flight.elsewhere import heft
@@ -149,10 +150,12 @@ def test_commands_know_its_kind_and_its_keys(toys: Path, flown: tuple[dict[str, 
     assert f"wrong.toml:{line}: unknown key 'device.joint_1.noise_deg'; did you mean 'noise_rad'" in said.stderr
 
 
-def test_without_its_package_the_vehicle_and_the_scenario_are_refused_by_kind(toys: Path, tmp_path: Path) -> None:
-    said = heft(tmp_path, "preflight", str(toys / "mine" / "vehicle.toml"))
-    assert said.returncode != 0
-    assert '"toy_angle" is none of' in said.stderr
+def test_without_its_package_the_vehicle_and_the_scenario_are_refused_by_kind(
+    toys: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In this process, which does not see it."""
+    assert cli.main(["preflight", str(toys / "mine" / "vehicle.toml")]) != cli.OK
+    assert '"toy_angle" is none of' in capsys.readouterr().err
     (tmp_path / "over.toml").write_text('[device.toy]\nkind = "toy_angle"\nbus = "i2c_1"\n')
-    said = heft(tmp_path, "hil", "rocksat", "--scenario", "over.toml")
-    assert "device.toy: no device is a 'toy_angle'; there are: arm_controller" in said.stderr
+    assert cli.main(["hil", "rocksat", "--scenario", str(tmp_path / "over.toml")]) != cli.OK
+    assert "device.toy: no device is a 'toy_angle'; there are: arm_controller" in capsys.readouterr().err

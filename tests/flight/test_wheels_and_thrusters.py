@@ -53,7 +53,7 @@ def test_the_answer_holds_the_truth_and_nothing_else_was_noticed(flown: Result) 
     assert sum(row["covered"] for row in supported) >= len(supported) - 1
 
 
-@pytest.mark.campaign  # without wheels: test_dymaflex; with torques: test_joint_torques
+@pytest.mark.campaign  # with poses: test_pose_tracker; with torques: test_joint_torques
 def test_replay_gives_the_onboard_estimates_to_the_bit(flown: Result) -> None:
     found = replay(flown.path)
     assert found.identical, found.summary

@@ -72,7 +72,7 @@ def test_a_healthy_flight_leaves_nothing_out(catch: Result) -> None:
     assert mass["sigma"] < 0.006 * MASS_kg  # 0.009 without the wrist cell
 
 
-@pytest.mark.campaign  # later: below; from the start, of a torque: test_joint_torques
+@pytest.mark.campaign  # later: below; of lines: test_fusion
 @pytest.mark.parametrize("factor", [0.7, 0.5])
 def test_a_wrist_cell_of_a_wrong_scale_is_left_out_from_the_start_or_after_a_capture(
     catch: Result, factor: float
@@ -112,6 +112,7 @@ def test_an_instrument_whose_scale_is_wrong_from_the_start_or_changes_in_flight_
     assert_weak(mass, name)
 
 
+@pytest.mark.campaign  # a wrong scale: above; no readings: below; of lines: test_fusion
 def test_a_first_imu_of_swapped_axes_is_left_out(catch: Result) -> None:
     def spoil(rows: Rows) -> None:
         rows["gyro_raw"] = rows["gyro_raw"][:, [1, 0, 2]]
@@ -121,6 +122,7 @@ def test_a_first_imu_of_swapped_axes_is_left_out(catch: Result) -> None:
     assert_weak(mass, "imu_base")
 
 
+@pytest.mark.campaign  # of lines: test_fusion; that one is left out in flight: above
 def test_without_readings_of_the_first_imu_the_second_one_is_enough(catch: Result) -> None:
     def spoil(rows: Rows) -> None:
         rows["gyro_raw"], rows["accel_raw"] = 5, 7

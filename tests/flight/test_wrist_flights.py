@@ -32,13 +32,14 @@ def seconds_of(log):
     return 1e-9 * (rows["host_ns"][-1] - rows["host_ns"][0])
 
 
+@pytest.mark.campaign  # by all six components: test_workshop; what each reads and when: test_devices
 @pytest.mark.parametrize(
     ("kind", "usual", "rate", "seconds"),
     [
         ("bota_ft", 400, 100, 6.4),  # the first second it starts
-        pytest.param("bota_ft", 400, 800, 6.4, marks=pytest.mark.campaign),
-        pytest.param("robotous_rft", 200, 333, 7.0, marks=pytest.mark.campaign),
-        pytest.param("onrobot_hex", 500, 1000, 7.3, marks=pytest.mark.campaign),
+        ("bota_ft", 400, 800, 6.4),
+        ("robotous_rft", 200, 333, 7.0),
+        ("onrobot_hex", 500, 1000, 7.3),
     ],
 )
 def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
@@ -50,7 +51,7 @@ def test_a_payload_is_weighed_with_it(tmp_path, kind, usual, rate, seconds):
         assert result["channels"][name]["missing"] == 0
 
 
-@pytest.mark.campaign  # a line that is unplugged: the Robotous's, too
+@pytest.mark.campaign  # the driver: test_bota_ft, test_serial_laws
 def test_a_bota_ft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tmp_path):
     faults = [
         *("unplug:tty_wrist:2:2.3", "reset:fx:4", "off:mz:5.5:5.8", "silent:fy:7.5:7.7"),
@@ -68,6 +69,7 @@ def test_a_bota_ft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tm
     assert set(log.read("gap")["cause"].tolist()) >= {b"port_lost", b"frames_lost"}
 
 
+@pytest.mark.campaign  # the driver: test_robotous_rft, test_serial_laws; in flight: test_ur_arm
 def test_a_robotous_rft_survives_unplugging_brown_out_and_what_is_lost_on_the_line(tmp_path):
     faults = [
         *("unplug:tty_wrist:1:1.3", "reset:fx:2", "silent:fy:4.2:4.4"),

@@ -127,10 +127,10 @@ def bare_checkout(tmp_path):
 
 def test_several_processes_that_make_it_at_once_all_find_it_whole(bare_checkout, tmp_path):
     cache = tmp_path / "cache"
-    with ThreadPoolExecutor(3) as pool:
-        each = [pool.submit(python, "-c", IMPORT, checkout=bare_checkout, XDG_CACHE_HOME=str(cache)) for _ in range(3)]
+    with ThreadPoolExecutor(2) as pool:
+        each = [pool.submit(python, "-c", IMPORT, checkout=bare_checkout, XDG_CACHE_HOME=str(cache)) for _ in range(2)]
     done = [one.result() for one in each]
-    assert [one.returncode for one in done] == [0] * 3, done[0].stderr
+    assert [one.returncode for one in done] == [0] * 2, done[0].stderr
     [made] = (cache / "heft").iterdir()
     assert {one.stdout.strip() for one in done} == {str(made)}
 

@@ -309,7 +309,7 @@ EXTREMES = ("0", "-1", "1e-300", "1e300", "inf", "nan", "true", '"5"', "[]", "{}
 
 @pytest.mark.parametrize(
     "name",
-    [*(pytest.param(one, marks=pytest.mark.campaign) for one in ("rocksat", "rocksat_serial")), "dymaflex", "workshop"],
+    [*(pytest.param(one, marks=pytest.mark.campaign) for one in ("rocksat", "rocksat_serial", "dymaflex")), "workshop"],
 )
 def test_any_value_put_for_any_other_is_refused_or_can_be_flown(name: str) -> None:
     path = config.packaged(name)

@@ -41,7 +41,7 @@ print(json.dumps([len(said), sorted(sys.modules)]))
 @pytest.mark.parametrize(
     ("command", "code", "without", "most", "validators"),
     [
-        ("hil dymaflex --faults", 0, _HEAVY, 1213, 10),
+        pytest.param("hil dymaflex --faults", 0, _HEAVY, 1213, 10, marks=pytest.mark.campaign),
         pytest.param("hil rocksat --faults", 0, _HEAVY, 1213, 10, marks=pytest.mark.campaign),
         ("hil rocksat_serial --faults", 0, [*_HEAVY, "can"], 1123, 10),
         ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 883, 0),
@@ -67,7 +67,7 @@ def test_modules_of_a_start(
     assert len(made) == validators, made
 
 
-@pytest.mark.parametrize("mission", ["rocksat", "dymaflex"])
+@pytest.mark.parametrize("mission", [pytest.param("rocksat", marks=pytest.mark.campaign), "dymaflex"])
 def test_modules_of_foresight(mission: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table before a flight loads no part of SciPy that the flight does without."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(with_library(tmp_path)))

@@ -42,7 +42,7 @@ def attitude_after(arm: FloatingArm, path: JointPath, steps: int = 200) -> Float
         for node in _GAUSS:
             q, slope = path((k + node) * h)
             w.append(arm.base_motion(q, slope)[3:])
-        R = R @ pin.exp3(0.5 * h * (w[0] + w[1]) + np.sqrt(3.0) / 12.0 * h**2 * cross(w[0], w[1]))
+        R = R @ pin.exp3(0.5 * h * (w[0] + w[1]) + np.sqrt(3.0) / 12.0 * h**2 * cross(*w))
     return np.asarray(R, np.float64)
 
 

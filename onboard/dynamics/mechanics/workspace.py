@@ -51,7 +51,7 @@ def pair_measure(arm: FloatingArm, q: FloatArray, pair: tuple[int, int]) -> floa
     columns = [FREE_FLYER_NV + joint for joint in pair]
     J = (tip[:, columns] - tip[:, :FREE_FLYER_NV] @ np.linalg.solve(A[:, :FREE_FLYER_NV], A[:, columns]))[:3]
     spins = tip[3:, columns]  # the joints' axes, base axes; zero for a joint that slides
-    normal = cross(J[:, 0], J[:, 1])
+    normal = cross(*J.T)
     first, second = spins[:, 0], spins[:, 1]
     parallel = abs(abs(float(first @ second)) - 1.0) < 1e-9
     return float(first @ normal) if parallel else float(np.sqrt(normal @ normal))

@@ -45,8 +45,7 @@ def fly(motion, duration_s, step_s=2e-3, rate=(0.0, 0.0, 0.0), base_moment=None)
     def control(model, data):
         q, dq, ddq = motion(data.time)
         wanted = ddq + 400.0 * (q - data.qpos[7:]) + 40.0 * (dq - data.qvel[6:])
-        for row, unit in zip(H, np.eye(model.nv), strict=True):
-            mujoco.mj_mulM(model, data, row, unit)
+        mujoco.mj_fullM(model, data, H)
         on_base = np.zeros(6)
         if base_moment is not None:
             on_base[3:] = base_moment(data.time)

@@ -59,7 +59,7 @@ def walk(directory, operator, text=WALKED, dry_run=lambda: CheckResult((), "as i
             return run_in_turn(opened.devices, world.clock, wait, seconds)
 
         bench = CheckHost(world.clock, wait, lambda: datetime(2026, 11, 21, tzinfo=UTC), run, dry_run)
-        return checkout(flying, None, bench, operator, Lengths(3.0, 1.6, 60.0))
+        return checkout(flying, None, bench, operator, Lengths(2.0, 1.2, 60.0))
 
 
 @pytest.fixture(scope="module")

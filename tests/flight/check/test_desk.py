@@ -106,7 +106,7 @@ def test_a_screen_of_80_columns_says_it(found: dict[str, DeskTest]) -> None:
 
 def test_more_noise_than_is_stated_is_said_with_the_remedy(tmp_path: Path, found: dict[str, DeskTest]) -> None:
     """An angle that moves has noise beside its line; the same one is quiet where a radian is stated."""
-    for test, loud in ((found["tip"], True), (tried(tmp_path, ("tip",), noisy_tip("1.0"))["tip"], False)):
+    for test, loud in ((found["tip"], True), (tried(tmp_path, ("tip",), noisy_tip("1.0"), 4.0)["tip"], False)):
         assert [one.too_loud for one in test.signals] == [loud]
         assert any("state it, or look for what shakes it" in said for said in test.warnings) == loud
         assert shown(test)[-1].strip() == ("look" if loud else "good")

@@ -39,7 +39,7 @@ def problems(found):
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    return look_over(tmp_path_factory.mktemp("preflight"), seconds=3.0)
+    return look_over(tmp_path_factory.mktemp("preflight"), seconds=1.5)
 
 
 def test_a_vehicle_as_its_file_says_is_ready(found):

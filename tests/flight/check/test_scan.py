@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from drivers.dynamixel.packet import ping_request
 from drivers.errors import DriverError
 from drivers.ports import I2cReply
+from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.faults import parse
 from hil_sim.mission import open_in_process
 from onboard.cli import BAD_INPUT, OK, main
@@ -20,10 +21,13 @@ from onboard.flight.check import scan
 from onboard.ground.before.init import seen
 from tests.drivers.can_peers import FakeCan
 
+STILL = [{"phase": 1, "action": "hold", "duration_s": 5.0}]
+
 
 def looked_at(scenario: str, *faults: str) -> list[scan.ScannedBus]:
     """Its I2C and CAN buses 0.2 s after power-up."""
-    mission, urls = open_in_process(scenario, 1, [parse(text) for text in faults])
+    made = scenario_of(scenario, {"sequence": STILL, "capture": False} if scenario == "dymaflex" else None)
+    mission, urls = open_in_process(made, 1, [parse(text) for text in faults])
     with mission:
         mission.advance(mission.start_ns + 200_000_000)
 

@@ -18,7 +18,7 @@ from onboard.identification.table.run import TableRun
 from onboard.regressor.signals import Signals
 from tests.flight.missions import fly
 
-STILL = [{"phase": 0, "action": "hold", "duration_s": 6.0}]
+STILL = [{"phase": 0, "action": "hold", "duration_s": 3.0}]
 
 
 class MeanRate(TableRun):
@@ -51,7 +51,7 @@ def build(vehicle: config.Vehicle) -> tuple[MeanRate, VehicleModel]:
 
 def test_it_answers_from_the_flights_ticks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flown = fly(
-        tmp_path / "flight.mcap", 3, vehicle="dymaflex", sequence=STILL, capture={"earliest_s": 4.0, "latest_s": 5.0}
+        tmp_path / "flight.mcap", 3, vehicle="dymaflex", sequence=STILL, capture={"earliest_s": 1.5, "latest_s": 2.0}
     )
     mean_rate = EstimationMethod("mean_rate", tick_means=True, builder=f"{__name__}:build")
     monkeypatch.setitem(METHODS, "mean_rate", mean_rate)

@@ -98,7 +98,7 @@ def test_no_truth_is_what_the_estimator_starts_from_and_each_seed_has_its_own(tm
 def test_a_scenario_file_says_otherwise(tmp_path):
     over = written(
         tmp_path,
-        SHORT.replace("0.2", "30.0")
+        SHORT.replace("0.2", "10.0")
         + "[payload]\nmass_kg = [4.0, 4.0]\n[capture]\nearliest_s = 9.0\nlatest_s = 9.0\n[release]\nrate_rad_s = 0.0\n"
         + "[as_built.default]\nmass_relative = 0.0\n[motion.posture]\njoint_2 = 0.5\n"
         + "[[fault]]\nkind = 'off'\ndevice = 'imu_2'\nstart_s = 1.0\nend_s = 2.0\n",
@@ -220,8 +220,9 @@ def test_a_scenario_that_cannot_be_is_refused_with_the_key(tmp_path, text, wrong
     ],
 )
 def test_a_vehicle_that_cannot_be_rehearsed_says_why(tmp_path, old, new, wrong):
+    over = written(tmp_path, "capture = false\n" + SHORT)
     with pytest.raises(ScenarioError, match=wrong):
-        Mission(rehearsal(copied(tmp_path, **{old: new})), 1)
+        Mission(rehearsal(copied(tmp_path, **{old: new}), over), 1)
 
 
 def test_every_kind_of_device_with_a_bus_has_an_emulator(tmp_path):
