@@ -1,8 +1,8 @@
 #!/bin/sh
 # The test suite, from nothing. Without arguments all of it but campaigns (-m campaign), as .ci/run does: on all cores, a
-# file a process at a time, and beside them, before them in line for a core, the tests that run against the wall clock, for
-# those mostly wait; then what the latter said, and one closing line of both. HEFT_REALTIME_OVER names a file to be made
-# when those have ended.
+# file a process at a time, and beside them, before them in line for a core, the tests that run against the wall clock;
+# then what the latter said, and one closing line of both. HEFT_REALTIME_OVER names a file to be made when those have
+# ended.
 # Arguments go to one pytest, which runs in the checkout's root: sh deploy/test.sh tests/drivers -k ring
 set -eu
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)

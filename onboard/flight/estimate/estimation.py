@@ -27,7 +27,7 @@ from onboard.identification.quantities import MOST_ALSO
 from onboard.ring import RingReader, RingWriter
 
 SUFFIX = "_estimation"
-CHECKPOINT_NS = 2_000_000_000
+CHECKPOINT_NS = 2_000_000_000  # from one to the next, at the most
 CHECKPOINT_CPU_NS = 60_000_000  # of steps, which a restart would have to do again
 CHECKPOINT_SHARE = 0.1  # of the CPU time of steps: a checkpoint costs 2 to 20 ms, as the estimator's state is large
 LONGEST_STEP_NS = 500_000_000  # of the devices' rows; a step of many seconds holds up the next
