@@ -282,7 +282,8 @@ class Mpu6050:
         return None
 
     def _reconfigure(self, now_ns: int, register: int, value: int) -> None:
-        brown_out = register == reg.PWR_MGMT_1 and bool(value & reg.SLEEP)
+        power = value if register == reg.PWR_MGMT_1 else self._bus.byte(reg.PWR_MGMT_1)
+        brown_out = bool(power & reg.SLEEP)  # as after a reset, whichever register was looked at first
         cause = "brown_out" if brown_out else "configuration_lost"
         why = (
             "it was reset, check its supply" if brown_out else f"rows up to 1 s before {self._stream.next} may be wrong"

@@ -295,6 +295,18 @@ def test_a_brown_out_is_set_right_and_its_cost_is_a_gap(flight):
     assert flight.chip.registers[0x1C] == 0x08
 
 
+def test_a_brown_out_at_any_transaction_is_told_as_one_whichever_register_is_looked_at_first(clock):
+    for later in range(60):
+        flight = Flight(clock)
+        flight.start()
+        flight.fly(20)
+        at = len(flight.chip.transfers) + later
+        flight.chip.fail = lambda number, chip=flight.chip, at=at: chip.reset() if number == at else 0
+        flight.fly(40)
+        told = [code for code in codes(flight.batches) if code not in {"started", "fifo_overflow", "misaligned"}]
+        assert told == ["brown_out"], later
+
+
 @pytest.mark.parametrize(("register", "value"), [(0x1A, 0x00), (0x1B, 0x18), (0x1C, 0x00), (0x19, 0x01), (0x38, 0)])
 def test_a_flipped_bit_is_found_within_a_second_and_set_right(flight, register, value):
     flight.start()
