@@ -77,6 +77,7 @@ def short(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.campaign  # on the real clock: the command in test_taken_log, masses in tests/kernel
 @pytest.mark.timeout(900)
 def test_a_rehearsal_in_real_time_gives_the_table(tmp_path: Path, short: Path) -> None:
     log, result = tmp_path / "rt.mcap", tmp_path / "rt.json"

@@ -165,6 +165,7 @@ def flown(
         return status, log, json.loads(devices.stdout.readline())
 
 
+@pytest.mark.campaign  # drives on the real clock: test_driving_processes; their base: above
 @pytest.mark.realtime
 @pytest.mark.usefixtures("own_rings")
 def test_on_the_real_clock_the_base_moves_as_the_drives_do(tmp_path: Path) -> None:

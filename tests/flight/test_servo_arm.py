@@ -71,6 +71,7 @@ def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Pa
     assert np.ptp(after) < 6  # it stands where its watchdog stopped it
 
 
+@pytest.mark.campaign  # servos on it: test_rehearsed_devices; unplugged in motion: above
 @pytest.mark.realtime
 @pytest.mark.timeout(180)
 @pytest.mark.usefixtures("own_rings")
