@@ -17,6 +17,8 @@ from onboard.identification.free_flyer.prediction.joint_noise import NOISELESS, 
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction, Ticks
 
+_NONE = np.zeros((0, 0, 0))
+
 
 class AddedByLine(NamedTuple):
     """What errors of the joints do, over the sigmas of b ticks."""
@@ -37,18 +39,8 @@ class AddedByLine(NamedTuple):
         return NoiseAdded(gradient, information, float(scatter.sum()), n, self.of_lines[lines, which].sum(axis=0))
 
 
-def noise_added(
-    predictor: ImuPredictor,
-    ticks: Ticks,
-    lines: LineNoise,
-    use: BoolArray,
-    state: FloatArray,
-    tick: int = 0,
-    noise: FloatArray | None = None,
-    by_tick: FloatArray | None = None,
-    at: tuple[FloatArray, TickPrediction] | None = None,
-) -> NoiseAdded:
-    """Of all lines; nothing where the noise is next to nothing beside that of every line.
+class NoiseInPieces:
+    """Of all lines, a piece of a window at a time; nothing where the noise is next to nothing beside that of each line.
 
     Args:
         predictor: of the instruments.
@@ -58,28 +50,68 @@ def noise_added(
         state: (p,) at the first tick.
         tick: number of the first.
         noise: one sigma of each line, (b + 2, m), where it is known.
-        by_tick: zeros, (b, p), that become the gradient of each tick.
         at: of a batch, a prediction without an error and its state, (p,), about which what is added is linear.
+        each: the gradient of each tick is wanted.
+
+    Attributes:
+        added: by the pieces so far.
+        by_tick: that gradient, (b, p); zero of what is not predicted yet.
+        over: that is all.
     """
-    added = NoiseAdded.none(len(state))
-    noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state) if noise is None else noise
-    if not is_noisy(noise[1:-1], lines.sigma, use):
-        return added
-    whitening = lines.whitening(use & ~predictor.of_poses)
-    for first in range(0, len(use), PIECE):
-        own, here = ticks.part(slice(first, first + PIECE + 2)), slice(first, first + PIECE)
-        about, right = at or (state, None)
-        by_line = added_by_line(predictor, own, whitening[here], about, tick + first, right)
-        if about is not state:
-            by_line.effect[:] += by_line.slopes @ (state - about)
-        added, state = added.plus(by_line.of(slice(None))), by_line.state
-        if by_tick is not None:
-            by_tick[here] = np.einsum("bm,bmp->bp", by_line.effect, by_line.slopes)
-    return added
+
+    def __init__(
+        self,
+        predictor: ImuPredictor,
+        ticks: Ticks,
+        lines: LineNoise,
+        use: BoolArray,
+        state: FloatArray,
+        tick: int = 0,
+        noise: FloatArray | None = None,
+        at: tuple[FloatArray, TickPrediction] | None = None,
+        *,
+        each: bool = False,
+    ) -> None:
+        self.added, self.by_tick, self._done = NoiseAdded.none(len(state)), np.zeros((each * len(use), len(state))), 0
+        self._predictor, self._ticks, self._state, self._tick, self._at = predictor, ticks, state, tick, at
+        noise = predictor.joint_noise(ticks.q, ticks.sample_sigma, state) if noise is None else noise
+        self.over = not is_noisy(noise[1:-1], lines.sigma, use)
+        self._whitening = lines.whitening(use & ~predictor.of_poses) if not self.over else _NONE
+
+    def advance(self) -> int:
+        """Predict a piece, with errors of the joints and without; how many ticks were predicted."""
+        here = slice(self._done, min(self._done + PIECE, len(self._whitening)))
+        own, (about, right) = self._ticks.part(slice(here.start, here.stop + 2)), self._at or (self._state, None)
+        whitening = self._whitening[here]
+        by_line = added_by_line(self._predictor, own, whitening, about, self._tick + here.start, right)
+        if about is not self._state:
+            by_line.effect[:] += by_line.slopes @ (self._state - about)
+        self.added, self._state = self.added.plus(by_line.of(slice(None))), by_line.state
+        if len(self.by_tick):
+            self.by_tick[here] = np.einsum("bm,bmp->bp", by_line.effect, by_line.slopes)
+        self._done, self.over = here.stop, here.stop == len(self._whitening)
+        return 2 * len(whitening)
+
+
+def noise_added(
+    predictor: ImuPredictor,
+    ticks: Ticks,
+    lines: LineNoise,
+    use: BoolArray,
+    state: FloatArray,
+    tick: int = 0,
+    noise: FloatArray | None = None,
+    at: tuple[FloatArray, TickPrediction] | None = None,
+) -> NoiseAdded:
+    """All of it at once: see :class:`NoiseInPieces`."""
+    pieces = NoiseInPieces(predictor, ticks, lines, use, state, tick, noise, at)
+    while not pieces.over:
+        pieces.advance()
+    return pieces.added
 
 
 def is_noisy(noise: FloatArray, sigma: FloatArray, use: BoolArray) -> bool:
-    """Whether noise of the joints, (b, m), is more than next to nothing in some line; see :func:`noise_added`."""
+    """Whether noise of the joints, (b, m), is more than next to nothing in some line; see :class:`NoiseInPieces`."""
     share = np.divide(noise, sigma, out=np.zeros(sigma.shape), where=use)
     return bool(share.max(initial=0.0) ** 2 >= NOISELESS)
 

@@ -11,6 +11,7 @@ predicts one piece of the window at a time and can be written to a checkpoint in
 from collections.abc import Iterator
 from enum import Enum
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -26,7 +27,7 @@ from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise
-from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
+from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of
 from onboard.identification.free_flyer.recursion.solved import EXPLAINED, HeldPayload, Solved
@@ -45,6 +46,14 @@ class _Stage(Enum):
     GUESS = "from a guess"
     SETTLE = "to the minimum"
     SETTLE_ROUGHLY = "to a nearly flat minimum"
+
+
+class _Ending(NamedTuple):
+    """A fit that is a result."""
+
+    fitted: Fit
+    whole: Pieces
+    noise: NoiseInPieces  # that of the joints
 
 
 class WindowSolve:
@@ -103,12 +112,17 @@ class WindowSolve:
         self._kept: Solved | None = None  # under the hypothesis before this one, where that explains the window
         self._descent: Descent | None = None
         self._pieces: Pieces | None = None  # of the prediction under way
+        self._ending: _Ending | None = None  # a result, of which what noise of the joints has added is computed
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
             self._begin()
 
     def advance(self) -> int:
         """Predicts a piece of the window, and goes on from there; how many ticks were predicted."""
         with np.errstate(over="ignore", invalid="ignore"):  # an infinite cost is refused
+            if self._ending is not None:
+                ticks = self._ending.noise.advance()
+                self._end()
+                return ticks
             assert self._pieces is not None
             ticks = self._pieces.advance(self._predictor, self._ticks, self._whitening, self._use)
             if self._pieces.over:
@@ -289,7 +303,10 @@ class WindowSolve:
         elif (near := self._taken_back(fitted, whole)) is not None:
             self._settle(self._problem.state(near))
         else:
-            self._solved(fitted, whole)
+            start, _ = self._parted(self._problem.state(fitted.x))
+            noise = NoiseInPieces(self._predictor, self._ticks, self._lines, self._use, start, each=True)
+            self._ending = _Ending(fitted, whole, noise)
+            self._end()
 
     def _taken_back(self, fitted: Fit, whole: Pieces) -> FloatArray | None:
         """Where to go on from, once, if the ticks tell a payload and the iteration moved what they do not tell."""
@@ -311,10 +328,13 @@ class WindowSolve:
         self._glitches += 1
         return True
 
-    def _solved(self, fitted: Fit, whole: Pieces) -> None:
+    def _end(self) -> None:
         """End with this result if it explains the window; where nothing may be held, the next is tried beside it."""
-        solved, kept = self._solution(fitted, whole), self._kept
-        if not self._explains(fitted.residual_sum):
+        ending = self._ending
+        if ending is None or not ending.noise.over:
+            return
+        solved, kept, self._ending = self._solution(*ending), self._kept, None
+        if not self._explains(ending.fitted.residual_sum):
             self.nearest = solved if self.nearest is None or solved.cost < self.nearest.cost else self.nearest
             self._begin()
         elif kept is None and self._left and HeldPayload.NOTHING in (self._hypothesis, self._left[0]):
@@ -324,7 +344,7 @@ class WindowSolve:
             stays = kept is not None and not solved.contradicts(kept)
             self.found, self.over, self._descent = kept if stays else solved, True, None
 
-    def _solution(self, fitted: Fit, whole: Pieces) -> Solved:
+    def _solution(self, fitted: Fit, whole: Pieces, added: NoiseInPieces) -> Solved:
         (start, _), F, use = self._parted(self._problem.state(fitted.x)), whole.transition, self._use
         used, glitches, covariance = int(use[:, self._own.start].sum()), self._glitches, F @ fitted.covariance @ F.T
         squares = float(whole.squares.sum())
@@ -342,12 +362,11 @@ class WindowSolve:
         before, lasting = self._noise, self._predictor.lasting
         if self._hypothesis is not HeldPayload.SAME:
             before = before.but_for(PAYLOAD, self.prior[0])
-        some, by_tick = (self._predictor, self._ticks, self._lines), np.zeros((len(use), len(start)))
-        noise = noise_added(*some, use, start, by_tick=by_tick).moved(-lasting * start).plus(before)
+        noise = added.added.moved(-lasting * start).plus(before)
         here, d = noise.moved(lasting * start), uphill @ moves - along
         if here.gradient.any():
             of_active = np.append(here.gradient, np.zeros(len(self._taken.first)))[active]  # zero for sizes of steps
-            d += whole.steps.along_with(by_tick) - across @ fitted.covariance @ of_active
+            d += whole.steps.along_with(added.by_tick) - across @ fitted.covariance @ of_active
         steps = Changed(whole.stepped - F @ moves, d, products - across @ moves, of_each)
         told = strained, cost, whole.residual[:, self._own].copy(), kept, steps
         left_out = self._lines.sigma[np.isfinite(self._ticks.measured[1:-1]) & ~use]

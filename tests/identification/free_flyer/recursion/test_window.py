@@ -63,6 +63,21 @@ def test_normal_equations_in_pieces_are_those_of_the_whole(held, monkeypatch):
     assert several.state == pytest.approx(one.state, rel=1e-4, abs=1e-6)
 
 
+def test_a_piece_predicts_no_more_ticks_than_it_tells(held, monkeypatch):
+    """Nor many at once, also when what noise of the joints has added is computed at the end."""
+    predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 142))
+    ticks = ticks._replace(sample_sigma=np.broadcast_to([[0.02], [0.5]], ticks.sample_sigma.shape))
+    start = solved(predictor, ticks, HeldPayload.NEW)[0].found.start
+    predict, counted = predictor.predict, list[int]()
+    monkeypatch.setattr(predictor, "predict", lambda q, *more: counted.append(len(q) - 2) or predict(q, *more))
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), start)
+    while not solve.over:
+        counted.clear()
+        assert solve.advance() == sum(counted) <= 2 * pieces.PIECE
+    assert solve.found.noise_added.information.any()
+
+
 def test_normal_equations_are_by_the_covariance_of_the_lines_of_each_tick(held, rng, monkeypatch):
     """Of those in use, which an error of a joint makes alike."""
     monkeypatch.setattr(pieces, "PIECE", 40)
@@ -429,15 +444,12 @@ def test_what_noise_adds_from_tick_to_tick_is_no_step_inside_a_window(held, monk
     """A payload seemed to become lighter: a flight with encoders of 12 bits and a wrist sensor was refused."""
     predictor, ticks = online(held, imu_prior=PRIOR).predictor, ticks_of(held).part(slice(0, 102))
     p, inside = len(predictor.names), Steps(predictor).inside(100)
-    each = np.random.default_rng(3).standard_normal((100, p))
+    gradients = np.random.default_rng(3).standard_normal((100, p))
     found = []
     for of_all in (np.zeros(p), np.full(p, 1e-15)):
-
-        def added(*_, by_tick, g=of_all):
-            by_tick[:] = each
-            return NoiseAdded(g, np.zeros((p, p)))
-
-        monkeypatch.setattr(windows, "noise_added", added)
+        added = NoiseAdded(of_all, np.zeros((p, p)))
+        of_ticks = SimpleNamespace(added=added, by_tick=gradients, over=True)
+        monkeypatch.setattr(windows, "NoiseInPieces", lambda *_, of_ticks=of_ticks, **__: of_ticks)
         prior = np.zeros(p), np.diag(np.nan_to_num(predictor.sigma) ** 2)
         solve = WindowSolve(predictor, WIDE, ticks, prior, (HeldPayload.NEW,), None, steps=inside)
         while not solve.over:
@@ -445,4 +457,4 @@ def test_what_noise_adds_from_tick_to_tick_is_no_step_inside_a_window(held, monk
         assert solve.found is not None
         found.append(solve.found)
     about = inside.about(found[0].start)
-    np.testing.assert_allclose(found[1].steps.d - found[0].steps.d, about.along_with(each), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found[1].steps.d - found[0].steps.d, about.along_with(gradients), rtol=1e-3, atol=1e-3)
