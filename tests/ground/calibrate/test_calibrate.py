@@ -246,26 +246,26 @@ def swing_readings(rng, **settings):
 
 
 def test_the_base_by_its_swings(vehicle):
-    z, worst = [], 0.0
-    for seed in (1, 2):
-        found, hangs = calibrate_bifilar(swing_readings(np.random.default_rng(seed)), vehicle, "imu_base", HUNG)
-        assert len(hangs) == 6
-        true = BASE.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-        six = np.array([one.value for one in found.found[:6]])
-        z.append((six - true) / [one.sigma for one in found.found[:6]])
-        worst = max(worst, float(np.abs((six - true)[[0, 2, 5]] / true[[0, 2, 5]]).max()))
-    assert worst < 5e-3
+    found, hangs = calibrate_bifilar(swing_readings(np.random.default_rng(1)), vehicle, "imu_base", HUNG)
+    assert len(hangs) == 6
+    true = BASE.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    six = np.array([one.value for one in found.found[:6]])
+    z = (six - true) / [one.sigma for one in found.found[:6]]
+    assert np.abs((six - true)[[0, 2, 5]] / true[[0, 2, 5]]).max() < 5e-3
     assert np.sqrt(np.mean(np.square(z))) < 1.5
     assert {one.table for one in found.changes} == {("link", "base"), ("estimation", "prior", "link", "base")}
 
 
-@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.campaign)])
-def test_axes_of_the_gyro_that_are_off_are_in_the_interval(vehicle, sign):
+@pytest.mark.parametrize(
+    ("axes", "sign"),
+    [((0,), 1.0), *(pytest.param((0, 1, 2), sign, marks=pytest.mark.campaign) for sign in (1.0, -1.0))],
+)
+def test_axes_of_the_gyro_that_are_off_are_in_the_interval(vehicle, axes, sign):
     """As the vehicle file states: products take up differences of the moments, the same in every run."""
     read = swing_readings(np.random.default_rng(1))
     true = BASE.inertia_kg_m2[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     z = []
-    for turn in sign * np.eye(3) * vehicle.file.estimation.imu_prior.mounting_rad:
+    for turn in sign * np.eye(3)[list(axes)] * vehicle.file.estimation.imu_prior.mounting_rad:
         turned = read.values.copy()
         turned[:, :3] -= np.cross(turn, read.values[:, :3])
         found, _ = calibrate_bifilar(read._replace(values=turned), vehicle, "imu_base", HUNG)

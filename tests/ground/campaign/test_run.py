@@ -7,7 +7,6 @@ A flight's files are in memory where there is room, and gone afterwards, also th
 
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -15,11 +14,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pyarrow.dataset
 import pytest
+from dask import config as dask_config
+from distributed import Client
 
 from onboard import cli
 from onboard.cli.campaign import fly
@@ -166,6 +168,16 @@ def dask(port: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     )
 
 
+@contextmanager
+def configured() -> Iterator[None]:
+    """Dask in this process goes by the environment as it is now, and afterwards by none of it."""
+    dask_config.refresh()
+    try:
+        yield
+    finally:
+        dask_config.refresh(env={})
+
+
 def free_port() -> int:
     """One that nobody listens on."""
     with socket.socket() as one:
@@ -173,13 +185,13 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-def workers_of(process: subprocess.Popen[bytes]) -> list[int]:
-    """Processes that a campaign has spawned to fly."""
+def workers_of(process: int) -> list[int]:
+    """Processes that one which runs a campaign has spawned to fly."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             fields = path.read_text().rpartition(")")[2].split()
-            if int(fields[1]) == process.pid and b"spawn_main" in path.with_name("cmdline").read_bytes():
+            if int(fields[1]) == process and b"spawn_main" in path.with_name("cmdline").read_bytes():
                 found.append(int(path.parent.name))
     return found
 
@@ -219,14 +231,18 @@ def test_a_worker_killed_in_flight_costs_nothing_but_the_flight_again(tmp_path: 
     plan = written(tmp_path, CALLED.replace("0.15", "0.4").replace("12", "4") + f'flown = "{flown}"\n')
     expected = serial(tmp_path / "serial", plan)
     flown.unlink()
-    with running(tmp_path / "scratch", *campaign(tmp_path / "out", plan, "--jobs", "1")) as client:
-        until(
-            lambda: flown.exists() or client.poll() is not None, LONGEST_S
-        )  # a flight is over, and the next has begun
+
+    def kill() -> int:
+        until(flown.exists, LONGEST_S)  # a flight is over, and the next has begun
         time.sleep(0.1)
-        (worker,) = workers_of(client)
+        (worker,) = workers_of(os.getpid())
         os.kill(worker, signal.SIGKILL)
-        assert client.wait(LONGEST_S) == 0
+        return worker
+
+    with ThreadPoolExecutor(1) as beside:
+        killed = beside.submit(kill)
+        assert cli.main([*campaign(tmp_path / "out", plan, "--jobs", "1")[2:]]) == cli.OK
+    assert killed.result()
     assert results(tmp_path / "out") == expected
     table = pyarrow.dataset.dataset(tmp_path / "out" / "flights").to_table().to_pylist()
     assert sorted(row["seed"] for row in table) == [1, 2, 3, 4]
@@ -316,22 +332,21 @@ def test_with_tls_as_the_page_says_a_campaign_flies_and_nobody_else_is_heard(
     expected = serial(tmp_path / "serial", plan)
     port, out, scratch = free_port(), tmp_path / "out", tmp_path / "scratch"
     scheduler, worker = ([part.replace("tcp://", "tls://") for part in one] for one in dask(port))
+    smaller = "\n".join(made).replace("rsa:3072", "rsa:2048")
+    (tmp_path / "other").mkdir()
+    subprocess.run(smaller, shell=True, cwd=tmp_path / "other", check=True, capture_output=True)
+    theirs = {"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": str(tmp_path / "other" / "node.pem")}
+    plain = {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "false"}
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    with running(scratch, *scheduler, "--protocol", "tls"), running(scratch, *worker):
-        with running(scratch, *campaign(out, plan, "--scheduler", f"tls://127.0.0.1:{port}")) as client:
-            assert client.wait(LONGEST_S) == cli.OK
+    with running(scratch, *scheduler, "--protocol", "tls"), running(scratch, *worker), configured():
+        assert cli.main([*campaign(out, plan, "--scheduler", f"tls://127.0.0.1:{port}")[2:]]) == cli.OK
         assert results(out) == expected
-        (tmp_path / "other").mkdir()
-        subprocess.run("\n".join(made), shell=True, cwd=tmp_path / "other", check=True, capture_output=True)
-        theirs = {"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": str(tmp_path / "other" / "node.pem")}
-        plain = {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "false"}
-        for protocol, more, heard in (("tls", {}, True), ("tls", theirs, False), ("tcp", plain, False)):
-            client = f"from distributed import Client; Client('{protocol}://127.0.0.1:{port}', timeout=3)"
-            asked, told_so = [sys.executable, "-c", client], {**os.environ, **more}
-            ended = subprocess.run(asked, env=told_so, capture_output=True, text=True, timeout=60, check=False)
-            assert (ended.returncode == 0) == heard
-            assert heard or re.search("CommClosedError|Timed out trying to connect", ended.stderr), ended.stderr
+        Client(f"tls://127.0.0.1:{port}", timeout=3, set_as_default=False).close()
+        for protocol, more in (("tls", theirs), ("tcp", plain)):
+            dask_config.refresh(env={**os.environ, **more})
+            with pytest.raises(OSError, match=r"\(closed\)|Timed out trying to connect"):
+                Client(f"{protocol}://127.0.0.1:{port}", timeout=3, set_as_default=False)
 
 
 def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:

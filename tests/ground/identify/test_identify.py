@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -285,18 +286,23 @@ def logs(datasets: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 @pytest.fixture(scope="module")
 def identified(logs: list[Path]) -> Identification:
-    return identify(TUDELFT, logs)
+    """What calibrates, and every third throw of a load."""
+    loads = [log for log in logs if "config_" in log.name]
+    return identify(TUDELFT, [log for log in logs if log not in loads or log in loads[::3]])
 
 
-def test_real_throws_are_within_the_bars(identified: Identification, record_property) -> None:  # type: ignore[no-untyped-def]
-    found = identified
-    assert len(found.logs) == 33
+@pytest.mark.parametrize("every", [pytest.param(True, marks=pytest.mark.campaign), False])
+def test_real_throws_are_within_the_bars(
+    logs: list[Path], every: bool, request: pytest.FixtureRequest, record_property: Callable[[str, object], None]
+) -> None:
+    found: Identification = identify(TUDELFT, logs) if every else request.getfixturevalue("identified")
+    assert len(found.logs) == (33 if every else 18)
     assert found.supported
     by_name = {summary.load.name: summary for summary in found.summaries}
-    assert {name: summary.answered for name, summary in by_name.items()} == {
+    answered = {name: summary.answered for name, summary in by_name.items()}
+    assert answered == {
         "proof_body": 5,
-        "config_a": 11,
-        "config_b": 12,
+        **({"config_a": 11, "config_b": 12} if every else {"config_a": 4, "config_b": 4}),
     }
     for name in "config_a", "config_b":
         summary = by_name[name]
@@ -314,7 +320,7 @@ def test_real_throws_are_within_the_bars(identified: Identification, record_prop
         assert np.median((pooled.high - pooled.moments) / pooled.moments) <= 0.06
         assert summary.together.covered == 3
     inside = sum(log.throw.covered or 0 for log in found.logs if log.throw)
-    assert inside >= 0.93 * 3 * (5 + 11 + 12)
+    assert inside >= 0.93 * 3 * sum(answered.values())
     assert render(found)
 
 
@@ -327,7 +333,7 @@ def test_the_vehicle_file_holds_what_its_calibration_gives(identified: Identific
     assert calibration.rotor.misfit < 0.015
 
 
-OF_EACH_LOAD, OF_BOTH_LOADS = (0, 7, 15, 30), (15, 30)
+OF_BOTH_LOADS = (15, 30)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +343,7 @@ OF_EACH_LOAD, OF_BOTH_LOADS = (0, 7, 15, 30), (15, 30)
         *(pytest.param(one, marks=pytest.mark.campaign) for one in ("gyro x 1.1", "gyro x 0.9")),  # as 1.03
         pytest.param("gyro x sign", marks=pytest.mark.campaign),  # of made-up throws: test_identify_verdict
         "accel yz swapped",
-        "wheel 10 ms late",
+        pytest.param("wheel 10 ms late", marks=pytest.mark.campaign),  # 20 ms: below
         "cut to 0 .. 0.15 s",
     ],
 )
@@ -351,7 +357,7 @@ def test_copies_of_real_throws_that_cannot_be_are_refused_and_those_as_recorded_
     logs: list[Path], identified: Identification
 ) -> None:
     chosen, ways = [logs[index] for index in (0, *OF_BOTH_LOADS)], spoilt_throws.WAYS
-    recorded = [spoilt_throws.said(TUDELFT, identified.logs[index]) for index in OF_EACH_LOAD]
+    recorded = [spoilt_throws.said(TUDELFT, one) for one in identified.logs[::4]]
     assert all(one.off < 1.0 for one in recorded)
     assert all(one.level is Level.GOOD or (one.level is Level.WEAK and "as wide as" in one.text) for one in recorded)
     assert any(one.level is Level.GOOD for one in recorded)

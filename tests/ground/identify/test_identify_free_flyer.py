@@ -212,6 +212,7 @@ def test_an_arm_that_stands_still_shows_nothing(tmp_path: Path, rng: np.random.G
     assert not any(answer.supported for answer in found.answers)
 
 
+@pytest.mark.campaign  # of throws: test_identify_verdict; they are named: kinds/test_misread
 def test_swapped_gyro_axes_are_no_body(tmp_path: Path, rng: np.random.Generator) -> None:
     (found,) = identify(VEHICLE, [write(tmp_path / "swapped.mcap", twin(3.0), rng, (1, 0, 2))]).logs
     assert found.verdict.level is Level.DO_NOT_USE

@@ -123,6 +123,7 @@ def test_the_payload_is_handed_over_as_it_was_last_answered(flown, flyer):
     assert len(events(flown, "handed_over")) == 1 + withdrawn
 
 
+@pytest.mark.campaign  # of the choice: test_a_release_while_a_segment_is_played, below
 def test_what_is_let_go_in_mid_segment_is_asked_about_no_more(flyer, library):
     """The segment is played to its end; nothing is held then, and nothing is asked for."""
     held = SCENARIO[SCENARIO.index("[[sequence]]") :]  # from the start, as the vehicle file says

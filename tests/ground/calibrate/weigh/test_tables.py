@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from onboard.cli import BAD_INPUT, OK, main
 from onboard.ground.calibrate.weigh import columns, conventions, table
 from onboard.ground.calibrate.weigh.errors import PosesError
-from tests.ground.calibrate.weigh.wrist_bench import HEADER, holds, weighed, write
+from tests.ground.calibrate.weigh.wrist_bench import AS_RECORDED, HEADER, holds, weighed, write
 
 pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # the meaning of a table is chosen by fits
 WRENCH = HEADER[4:]
@@ -55,9 +55,10 @@ WRENCH = HEADER[4:]
     ],
 )
 def test_names_of_columns(one, tmp_path, names, between):
-    code, answer = weighed(tmp_path, one.rows, header=names, between=between)
-    assert code == OK
-    assert all(holds(answer, one.true).values())
+    meaning = columns.understood(table.read([write(tmp_path / "poses.csv", one.rows, names, between)]), columns.Units())
+    assert meaning.kind.startswith("quaternion")
+    np.testing.assert_array_equal(meaning.orientation, one.rows[:, :4])
+    np.testing.assert_array_equal(meaning.wrench, one.wrench)
 
 
 @pytest.mark.parametrize("named", ["actual_TCP_{}_{}", "{}[{}]"])
@@ -88,7 +89,7 @@ def test_angles_without_names_are_named_by_the_message(one, tmp_path, capsys):
     assert given == "--columns=-,-,roll,pitch,yaw,fx,fy,fz,mx,my,mz"
     assert "--orientation xyz" in said
     for way in ((given,), ("--orientation", "xyz")):
-        code, answer = weighed(tmp_path, rows, *way, header=())
+        code, answer = weighed(tmp_path, rows, *AS_RECORDED, *way, header=())
         assert code == OK
         assert all(holds(answer, one.true).values())
     assert weighed(tmp_path, rows[:, 3:], header=())[0] == BAD_INPUT
@@ -105,9 +106,9 @@ def test_joints_are_no_quaternion(one, tmp_path, capsys):
 def test_tables_of_other_encodings(one, tmp_path, encoding):
     path = write(tmp_path / "poses.csv", np.hstack([one.rows, one.rows[:, :1]]), (*HEADER, "gr\u00f6\u00dfe"))
     path.write_bytes(path.read_text(encoding="utf-8").encode(encoding))
-    answer = tmp_path / "a.json"
-    assert main(["weigh", str(path), "--json", str(answer)]) == OK
-    assert all(holds(json.loads(answer.read_text(encoding="utf-8")), one.true).values())
+    meaning = columns.understood(table.read([path]), columns.Units())
+    np.testing.assert_array_equal(meaning.orientation, one.rows[:, :4])
+    np.testing.assert_array_equal(meaning.wrench, one.wrench)
 
 
 def test_quoted_cells_thousands_and_a_spreadsheets_line(tmp_path):
@@ -142,7 +143,7 @@ def test_counts_and_readings_that_the_controller_has_compensated(one, tmp_path, 
     rows = np.hstack([one.rows[:, :4], np.rint(1e3 * one.wrench)])
     assert weighed(tmp_path, rows)[0] == BAD_INPUT
     assert "are whole numbers without a unit" in " ".join(capsys.readouterr().err.split())
-    code, answer = weighed(tmp_path, rows, "--force-unit", "1e-3", "--moment-unit", "1e-3")
+    code, answer = weighed(tmp_path, rows, *AS_RECORDED, "--force-unit", "1e-3", "--moment-unit", "1e-3")
     assert code == OK
     assert all(holds(answer, one.true).values())
     for names, said in (
@@ -162,7 +163,7 @@ def test_a_quaternion_that_is_none_is_said(one, tmp_path, capsys):
 def test_columns_by_their_numbers(one, tmp_path, capsys):
     rows = np.hstack([np.arange(len(one.rows))[:, None], one.rows[:, ::-1]])
     given = ",".join(f"{name}={11 - k}" for k, name in enumerate(HEADER))
-    code, answer = weighed(tmp_path, rows, "--columns", given, header=())
+    code, answer = weighed(tmp_path, rows, *AS_RECORDED, "--columns", given, header=())
     assert code == OK
     assert all(holds(answer, one.true).values())
     for wrong in ("qw=12", "qw=0", "qw=x", "qw=1,qx"):
@@ -175,7 +176,7 @@ def test_two_files_decimal_commas_and_other_columns(one, tmp_path):
     poses = write(tmp_path / "p.csv", [["0", *row[:4], "1,5"] for row in rows], ("t", *HEADER[:4], "speed"), ";")
     wrenches = write(tmp_path / "w.txt", [row[4:] for row in rows], WRENCH, "\t")
     answer = tmp_path / "answer.json"
-    assert main(["weigh", str(poses), str(wrenches), "--json", str(answer)]) == OK
+    assert main(["weigh", str(poses), str(wrenches), "--json", str(answer), *AS_RECORDED]) == OK
     assert all(holds(json.loads(answer.read_text(encoding="utf-8")), one.true).values())
     short = write(tmp_path / "short.txt", [row[4:] for row in rows[:-1]], WRENCH, "\t")
     assert main(["weigh", str(poses), str(short)]) == BAD_INPUT

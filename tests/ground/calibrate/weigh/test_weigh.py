@@ -102,7 +102,7 @@ def test_a_base_that_leans_further_than_is_stated(tmp_path):
 @pytest.mark.parametrize(("factor", "level"), [(2000.0, "good"), (3000.0, "do not use")])
 def test_forces_in_another_unit_are_a_mass_that_no_arm_holds(one, tmp_path, factor, level):
     rows = np.hstack([one.rows[:, :4], one.wrench * factor / one.true.mass_kg])
-    answer = wrist_bench.weighed(tmp_path, rows, header=wrist_bench.NAMED)[1]
+    answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED, header=wrist_bench.NAMED)[1]
     assert answer["verdict"]["level"] == level
     assert ("--force-unit" in answer["verdict"]["text"]) == (level == "do not use")
 
@@ -117,7 +117,8 @@ def test_a_payload_that_is_gripped_between_poses(tmp_path):
     knocked[[3, 11, 19], :3] = np.random.default_rng(1).normal(size=(3, 3)) * 5.0
     held = np.arange(len(more))[:, None] >= 11
     for added, body in ((more * held, True), (-one.wrench[11] * held, False), (knocked, False), (0.0, False)):
-        answer = wrist_bench.weighed(tmp_path, np.hstack([one.rows[:, :4], one.wrench + added]))[1]
+        rows = np.hstack([one.rows[:, :4], one.wrench + added])
+        answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)[1]
         said = re.search(
             r"from row 12 on another body is held, of ([\d.]+) kg after ([\d.]+) kg", answer["verdict"]["text"]
         )
@@ -148,8 +149,10 @@ def spoilt(wrench, what):
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ("fx turned", "the sign of force x is turned"),
-        pytest.param("mz turned", "the sign of moment z is turned", marks=pytest.mark.campaign),  # as of force x
+        *(
+            pytest.param(f"{axis} turned", f"the sign of {name} is turned", marks=pytest.mark.campaign)  # below
+            for axis, name in (("fx", "force x"), ("mz", "moment z"))
+        ),
         ("fx, fy exchanged", "force x and y are exchanged"),
         ("fz stuck", "force z reads the same in poses that differ"),
         pytest.param(
@@ -175,10 +178,11 @@ def test_what_nobody_named_a_unit_of_is_weak(one, tmp_path):
         (wrist_bench.HEADER, [1.0 / 9.80665] * 3 + [1.0] * 3, {"m", "c_x", "c_y", "c_z"}),
         ((*wrist_bench.NAMED[:7], *wrist_bench.HEADER[7:]), 1.0, {"c_x", "c_y", "c_z"}),
         ((*wrist_bench.HEADER[:7], *wrist_bench.NAMED[7:]), 1.0, {"m", "c_x", "c_y", "c_z"}),
-        (wrist_bench.NAMED, 1.0, set()),
         (ros, 1.0, set()),
     ):
-        code, answer = wrist_bench.weighed(tmp_path, np.hstack([q, wrench * factor]), header=header)
+        code, answer = wrist_bench.weighed(
+            tmp_path, np.hstack([q, wrench * factor]), *wrist_bench.AS_RECORDED, header=header
+        )
         found = {each["name"] for each in answer["quantities"] if "no unit is named" in each.get("why", "")}
         assert (code, found, answer["verdict"]["level"]) == (OK, weak, "weak" if weak else "good")
         assert ("in kgf and Nm" in answer["verdict"]["text"]) == (np.ndim(factor) == 1)
@@ -197,13 +201,14 @@ def test_units_that_would_make_a_held_tool():
     assert units.likelier(0.17906, 0.7845, ("moment",)) == "in N and Ncm 0.179 kg at 7.84 mm"
 
 
+@pytest.mark.usefixtures("axes_as_they_are")
 def test_the_remedies_that_are_named_help(one, tmp_path):
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "mz turned")])
-    code, answer = wrist_bench.weighed(tmp_path, rows, "--turned", "mz")
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED, "--turned", "mz")
     assert code == OK
     assert all(wrist_bench.holds(answer, one.true).values())
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "N mm")])
-    code, answer = wrist_bench.weighed(tmp_path, rows, "--moment-unit", "Nmm")
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED, "--moment-unit", "Nmm")
     assert code == OK
     assert all(wrist_bench.holds(answer, one.true).values())
 
@@ -216,7 +221,7 @@ def test_a_centre_farther_than_two_metres_is_a_wrong_unit(tmp_path, metres, code
         weight = 2.0 * R.T @ [0.0, 0.0, -wrist_bench.GRAVITY]
         load = np.concatenate([weight, np.cross([0.0, 0.0, metres], weight)])
         rows.append([*wrist_bench.quaternion(R), *(load + [0.02, 0.02, 0.02, 0.01, 0.01, 0.01] * rng.normal(size=6))])
-    assert wrist_bench.weighed(tmp_path, rows)[0] == code
+    assert wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)[0] == code
 
 
 @pytest.mark.usefixtures("axes_as_they_are")
@@ -225,7 +230,7 @@ def test_bad_rows_and_outliers_are_left_out_and_counted(one, tmp_path):
     rows[3][5], rows[7][2] = "abc", float("nan")
     rows[9] = rows[9][:6]
     rows[20][4:] = [0.0] * 6
-    code, answer = wrist_bench.weighed(tmp_path, rows)
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)
     assert (code, answer["verdict"]["level"]) == (OK, "weak")
     assert (answer["rows"]["bad"], answer["outliers"]) == (3, [21])
     assert all(wrist_bench.holds(answer, one.true).values())
@@ -238,7 +243,7 @@ def test_a_recording_at_full_rate_is_averaged_by_pose(one, tmp_path):
         rows += [[*wrist_bench.quaternion(R), *(wrench + one.true.noise * rng.normal(size=6))] for _ in range(20)]
         moving = wrist_bench.turn(0.3 * np.ones(3)) @ R
         rows.append([*wrist_bench.quaternion(moving), *(wrench + 5.0)])
-    code, answer = wrist_bench.weighed(tmp_path, rows)
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)
     assert code == OK
     assert answer["rows"] == {"rows": 630, "bad": 0, "moving": 30, "poses": 30}
     assert all(wrist_bench.holds(answer, one.true).values())
@@ -304,7 +309,9 @@ def test_a_refused_weighing_writes_no_zeros(one, tmp_path, monkeypatch, capsys):
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "mz turned")])
     assert wrist_bench.weighed(tmp_path, rows, "--vehicle", "lab/vehicle.toml")[0] == FAILED
     assert (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8") == text
-    assert "are as they were" in capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "the sign of moment z is turned" in shown
+    assert "are as they were" in shown
 
 
 def test_recorded_poses_of_another_laboratory(datasets, tmp_path):
@@ -338,9 +345,8 @@ def test_noise_as_large_as_most_of_the_weight_is_wide_and_not_refused(one, tmp_p
     """A light tool: a quarter of what the readings change by is noise."""
     rng, weight = np.random.default_rng(3), one.true.mass_kg * wrist_bench.GRAVITY
     sigma = 0.25 * weight * np.repeat([1.0, 0.1], 3)
-    code, answer = wrist_bench.weighed(
-        tmp_path, np.hstack([one.rows[:, :4], one.wrench + sigma * rng.normal(size=one.wrench.shape)])
-    )
+    rows = np.hstack([one.rows[:, :4], one.wrench + sigma * rng.normal(size=one.wrench.shape)])
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)
     assert (code, answer["verdict"]["level"]) == (OK, "weak")
     assert all(wrist_bench.holds(answer, one.true).values())
 
@@ -349,5 +355,5 @@ def test_a_centre_behind_the_sensor_is_said(one, tmp_path, capsys):
     """Moments that are all of the other sign are those of a tool on the other side."""
     turned = np.hstack([one.rows[:, :4], one.wrench * [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]])
     for rows, said in ((one.rows, False), (turned, True)):
-        assert wrist_bench.weighed(tmp_path, rows)[0] == OK
+        assert wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)[0] == OK
         assert ("if the tool is not, all moments are turned" in " ".join(capsys.readouterr().out.split())) == said

@@ -114,6 +114,7 @@ def test_mass_centre_and_zeros_lie_in_their_intervals():
     assert 0.7 < np.sqrt(np.mean(np.square(zeros))) < 1.25
 
 
+@pytest.mark.campaign  # of one tool: below
 def test_scales_five_times_as_far_off_as_stated_are_estimated():
     """All axes at once, which must not pass for noise: 9 of 10 inside 95 %: some are of one error by chance."""
     inside = 0

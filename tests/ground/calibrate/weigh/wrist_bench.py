@@ -15,6 +15,8 @@ from onboard.cli import main
 HEADER = ("qw", "qx", "qy", "qz", "fx", "fy", "fz", "mx", "my", "mz")
 NAMED = (*HEADER[:4], *(f"{name} [N]" for name in HEADER[4:7]), *(f"{name} [Nm]" for name in HEADER[7:]))
 GRAVITY = 9.80665
+# Said, so that no other meaning is fitted as well
+AS_RECORDED = ("--sense=sensor-in-base", "--axes=sensor", "--sign=weight", "--gravity=0,0,-1")
 
 
 def turn(v):

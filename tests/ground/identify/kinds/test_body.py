@@ -179,8 +179,9 @@ WRONG = {
 }
 
 
-# "both" has an exchange of thrusters and an axis of the tracker that counts the other way
-REPEATS = ("exchanged", "mirrored", "below", "cycle")
+# "both" has an exchange of thrusters and an axis of the tracker that counts the other way; "place" is of no mistake in
+# the columns, as "stuck" is
+REPEATS = ("exchanged", "mirrored", "below", "cycle", "turned", "stuck")
 
 
 @pytest.mark.parametrize(
@@ -194,6 +195,7 @@ def test_what_is_wrong_is_named(tmp_path, what):
     assert "nan" not in told["verdict"]["text"]
 
 
+@pytest.mark.campaign  # of commands: above, by one part of a sample
 def test_late_poses_are_a_delay(tmp_path):
     bed = fly(75, 20.0, delay_s=0.1, wrong=UnstatedErrors(late_s=0.25))
     found = {one["name"]: one for one in identified(tmp_path, bed)["quantities"]}

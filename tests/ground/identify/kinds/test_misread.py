@@ -49,22 +49,22 @@ def _misread(urdf, t, angles, rate, force):
 
 _MISTAKES = {
     "the gyro's x and y are exchanged": lambda q, w, f: (q, w[:, [1, 0, 2]], f),
-    "the gyro is in deg/s": lambda q, w, f: (q, np.degrees(w), f),
-    "the accelerometer's x and y and z count the other way": lambda q, w, f: (q, w, -f),
     "the accelerometer is in g": lambda q, w, f: (q, w, f / 9.80665),
     'the IMU\'s x, y, z are what is read as "+y", "-x", "+z"': lambda q, w, f: (q, w @ _TURNED, f @ _TURNED),
     "joint_2 counts the other way": lambda q, w, f: (q * [1.0, -1.0, 1.0], w, f),
     "joint_1 and joint_2 are exchanged": lambda q, w, f: (q[:, [1, 0, 2]], w, f),
     "joint_2 is about -60 deg from what is read": lambda q, w, f: (q + np.radians([0.0, 57.0, 0.0]), w, f),
+}
+
+
+_MORE = {  # a unit, axes and signs by themselves: above; an axis of the gyro: a command below finds it
+    "the gyro is in deg/s": lambda q, w, f: (q, np.degrees(w), f),
+    "the accelerometer's x and y and z count the other way": lambda q, w, f: (q, w, -f),
     "joint_2 counts the other way and the accelerometer is in g": lambda q, w, f: (
         q * [1.0, -1.0, 1.0],
         w,
         f / 9.80665,
     ),
-}
-
-
-_MORE = {  # of two units: a joint and a unit are in CI; an axis of the gyro: a command below finds it
     "the gyro's x counts the other way": lambda q, w, f: (q, w @ _FLIPPED_x, f),
     "the gyro is in deg/s and the accelerometer is in g": lambda q, w, f: (q, np.degrees(w), f / 9.80665),
 }

@@ -39,6 +39,7 @@ def test_every_recipe_is_tested():
     assert PAGE.count("```sh") == 5
 
 
+@pytest.mark.campaign  # by the same command: tests/ground/calibrate/weigh/test_weigh.py, of its own page
 def test_a_tool(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     one = record(6)
@@ -48,6 +49,7 @@ def test_a_tool(tmp_path, monkeypatch):
     assert mass["low"] <= one.true.mass_kg <= mass["high"]
 
 
+@pytest.mark.campaign  # such an arm by the same commands: tests/flight/test_recorded_arm.py
 def test_an_arm(tmp_path, monkeypatch):
     """Three joints whose motors' constants are as stated; columns are called as a laboratory may call them."""
     monkeypatch.chdir(tmp_path)
