@@ -226,7 +226,11 @@ def written(tmp_path: Path, text: str) -> Path:
     return plan
 
 
-def test_a_worker_killed_in_flight_costs_nothing_but_the_flight_again(tmp_path: Path) -> None:
+def test_a_worker_killed_in_flight_costs_nothing_but_the_flight_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # of the workers
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     flown = tmp_path / "flown"
     plan = written(tmp_path, CALLED.replace("0.15", "0.4").replace("12", "4") + f'flown = "{flown}"\n')
     expected = serial(tmp_path / "serial", plan)

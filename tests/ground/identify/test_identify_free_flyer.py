@@ -56,6 +56,7 @@ def write(path: Path, flown: Twin, rng: np.random.Generator, axes: tuple[int, in
     return make_log(path, sampled_rows(samples), overwrite=True)
 
 
+@pytest.mark.campaign  # of the fit: tests/identification/whole_flight/test_fit.py
 def test_a_flight_whose_whole_cannot_be_predicted_is_fitted_in_windows(
     flown: Twin, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,6 +88,7 @@ def test_commands_that_come_with_the_poses_may_all_be_late_by_one_part_of_a_samp
     assert delay["high"] > 0.109
 
 
+@pytest.mark.campaign  # of how late: tests/identification/body/test_sampling.py; of commands: above
 def test_a_recorder_that_repeats_poses_writes_them_late(tmp_path):
     """Refused before: 4 ms between rows, 10 ms between poses, each of which is late by 0 or 2 ms."""
     bed = fly(93, 20.0, delay_s=0.1)
