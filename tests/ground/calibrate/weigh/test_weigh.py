@@ -15,6 +15,7 @@ from tests.ground.calibrate.weigh import wrist_bench
 PAGE = (Path(__file__).parents[4] / "docs" / "weigh.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
 WRENCH = wrist_bench.HEADER[4:]
+FRAMES = wrist_bench.AS_RECORDED[:3]  # all but how the base stands
 
 
 def test_the_commands_of_the_page(one, tmp_path, monkeypatch, capsys):
@@ -68,14 +69,14 @@ def test_conventions_are_found(one, tmp_path):
 @pytest.mark.usefixtures("axes_as_they_are")
 def test_a_tilted_base_and_an_arm_on_a_wall(tmp_path):
     tilted = wrist_bench.record(12, tilt_deg=8.0)
-    code, answer = wrist_bench.weighed(tmp_path, tilted.rows)
+    code, answer = wrist_bench.weighed(tmp_path, tilted.rows, *FRAMES)
     assert code == OK
     assert all(wrist_bench.holds(answer, tilted.true).values())
     wall = wrist_bench.record(13)
     side = wrist_bench.turn([0.0, np.pi / 2.0, 0.0])  # the wall's base: downwards is its -x
     rows = np.hstack([np.array([wrist_bench.quaternion(side @ R) for R in wall.R]), wall.wrench])
     for said in (("--gravity=-1,0,0",), ()):
-        code, answer = wrist_bench.weighed(tmp_path, rows, *said)
+        code, answer = wrist_bench.weighed(tmp_path, rows, *FRAMES, *said)
         assert code == OK
         assert all(wrist_bench.holds(answer, wall.true).values())
         assert any("downwards in the base's axes is -1,0,0" in note for note in answer["notes"])
@@ -92,7 +93,7 @@ def test_a_base_that_leans_further_than_is_stated(tmp_path):
         (("--gravity=0,0,-1",), "weak", lambda answer: answer["verdict"]["text"]),
         (("--gravity=0,0,-1", "--tilt-deg=25"), "good", lambda _: "the base leans by 25 deg against"),
     ):
-        code, answer = wrist_bench.weighed(tmp_path, rows, *said, header=wrist_bench.NAMED)
+        code, answer = wrist_bench.weighed(tmp_path, rows, *FRAMES, *said, header=wrist_bench.NAMED)
         assert (code, answer["verdict"]["level"]) == (OK, level)
         assert re.search("the base leans by 2[3-7] deg against", where(answer))
         assert all(wrist_bench.holds(answer, leaning.true).values())
@@ -259,7 +260,7 @@ def test_what_the_poses_do_not_tell_is_not_known(tmp_path, capsys):
         [*wrist_bench.quaternion(wrist_bench.turn([0.0, 0.0, angle])), *(load + 0.02 * rng.normal(size=6))]
         for angle in np.linspace(0, 6, 20)
     ]
-    code, answer = wrist_bench.weighed(tmp_path, rows)
+    code, answer = wrist_bench.weighed(tmp_path, rows, *wrist_bench.AS_RECORDED)
     assert code == FAILED
     assert not answer["quantities"][0]["supported"]
     assert "not known" in capsys.readouterr().out
@@ -307,7 +308,8 @@ def test_a_refused_weighing_writes_no_zeros(one, tmp_path, monkeypatch, capsys):
     assert main(["init", "lab", "--from", "workshop"]) == OK
     text = (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8")
     rows = np.hstack([one.rows[:, :4], spoilt(one.wrench, "mz turned")])
-    assert wrist_bench.weighed(tmp_path, rows, "--vehicle", "lab/vehicle.toml")[0] == FAILED
+    asked = [*wrist_bench.AS_RECORDED, "--vehicle", "lab/vehicle.toml"]
+    assert wrist_bench.weighed(tmp_path, rows, *asked)[0] == FAILED
     assert (tmp_path / "lab" / "vehicle.toml").read_text(encoding="utf-8") == text
     shown = " ".join(capsys.readouterr().out.split())
     assert "the sign of moment z is turned" in shown
