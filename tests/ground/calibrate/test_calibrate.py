@@ -256,6 +256,7 @@ def test_the_base_by_its_swings(vehicle):
     assert {one.table for one in found.changes} == {("link", "base"), ("estimation", "prior", "link", "base")}
 
 
+# Turned about x in CI; about the others it is the same computation
 @pytest.mark.parametrize(
     ("axes", "sign"),
     [((0,), 1.0), *(pytest.param((0, 1, 2), sign, marks=pytest.mark.campaign) for sign in (1.0, -1.0))],

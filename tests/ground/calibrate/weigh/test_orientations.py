@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("axes_as_they_are")  # what angles mean is 
         (("A", "B", "C"), ("ZYX", 1.0), ()),
         (("rx", "ry", "rz"), ("rotvec", np.pi / 180.0), ()),
         pytest.param(("rx", "ry", "rz"), ("XYZ", 1.0), ("--orientation", "XYZ"), marks=pytest.mark.campaign),
+        # angles about fixed axes, as roll, pitch, yaw above
         pytest.param(("euler_x", "euler_y", "euler_z"), ("xyz", 1.0), (), marks=pytest.mark.campaign),
         pytest.param(("phi", "theta", "psi"), ("ZYZ", 1.0), ("--orientation", "ZYZ"), marks=pytest.mark.campaign),
         (("tool_phi [deg]", "tool_theta [deg]", "tool_psi [deg]"), ("ZYZ", 1.0), ()),
