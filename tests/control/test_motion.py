@@ -14,8 +14,8 @@ def test_rates_are_derivatives_and_trials_follow_each_other():
     time_s = np.linspace(0.0, motion.seconds, 50_001)
     q, dq, ddq = motion.at(time_s)
     step = time_s[1]
-    assert np.gradient(q, step, axis=0) == pytest.approx(dq, abs=1e-5)
-    assert np.gradient(dq, step, axis=0)[2:-2] == pytest.approx(ddq[2:-2], abs=1e-3)
+    np.testing.assert_allclose(np.gradient(q, step, axis=0), dq, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(np.gradient(dq, step, axis=0)[2:-2], ddq[2:-2], rtol=0.0, atol=1e-3)
     for rows in (dq, ddq):
         assert rows[[0, -1]] == pytest.approx(np.zeros((2, 3)), abs=1e-12)
     assert q[[0, -1]] == pytest.approx(np.tile(motion.start_rad, (2, 1)), abs=1e-12)

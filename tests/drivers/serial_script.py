@@ -226,15 +226,19 @@ def fault_at_any_call(
     fly: Callable[[SerialFlight], object],
     fly_on: Callable[[SerialFlight], object],
     fewest_calls: int,
+    every: int = 1,
 ) -> Iterator[SerialFlight]:
-    """The same flight again and again, each time with another call of its port that fails, and told so."""
+    """The same flight again and again, each time with another call of its port that fails, and told so.
+
+    Of the calls those from ``every`` to ``every``.
+    """
     flight = make()
     flight.start()
     fly(flight)
     flight.stop()
     calls = flight.port.calls
     assert calls > fewest_calls
-    for fail_at in range(1, calls + 1):
+    for fail_at in range(1, calls + 1, every):
         flight = make()
         flight.port.fail_at = fail_at
         flight.start()

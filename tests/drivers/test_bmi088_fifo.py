@@ -166,7 +166,7 @@ def test_the_first_samples_wait_for_two_of_the_gyroscope(clock, early_ms):
 
 
 @CHIPS
-@pytest.mark.parametrize("longest", [14, 40, 252])
+@pytest.mark.parametrize("longest", [14, pytest.param(40, marks=pytest.mark.campaign), 252])  # between the others
 def test_rows_are_the_accelerometer_s_samples_and_rates_lie_between(clock, chip, longest):
     flight = Flight(clock, Bmi088Config(mode="fifo", max_transfer_bytes=longest), chip(clock, transfer_ns=20_000))
     flight.fly(2.0)
@@ -253,8 +253,9 @@ def test_a_host_that_was_away_too_long_counts_what_ran_over(clock, die):
 
 
 @AT_ANY_PLACE
-def test_one_failed_transfer_at_any_place_is_survived(clock, chip):
-    for place in range(60):
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.campaign)])  # places between those of the other
+def test_one_failed_transfer_at_any_place_is_survived(clock, chip, every):
+    for place in range(0, 60, every):
         model, code = chip(clock, transfer_ns=20_000), (errno.EREMOTEIO, errno.EIO)[place % 2]
         model.fail = lambda number, place=place, code=code: code if number == place else 0
         flight = Flight(clock, chip=model)

@@ -3,7 +3,7 @@
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from drivers.canopen_pdo.profiles.channel import ProcessData, Sample
 from drivers.canopen_pdo.profiles.sync_channel import SyncChannel
@@ -25,6 +25,7 @@ def test_the_first_sync_is_numbered_by_its_counter():
     assert SyncCounter(PERIOD_NS).advance(0, 7).tick == 0
 
 
+@settings(max_examples=40)
 @given(
     first=st.integers(0, 10_000),
     steps=st.lists(st.one_of(st.integers(1, 5), st.integers(1, 100_000)), max_size=60),

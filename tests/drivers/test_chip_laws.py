@@ -103,11 +103,11 @@ def first_transfers(sensor, clock):
 
 
 @EACH
-@pytest.mark.parametrize("code", [errno.EREMOTEIO, errno.EIO])
-def test_one_failed_transaction_at_any_place_is_tried_again(clock, sensor, code):
+@pytest.mark.parametrize("odd", [0, pytest.param(1, marks=pytest.mark.campaign)])  # the other error at each place
+def test_one_failed_transaction_at_any_place_is_tried_again(clock, sensor, odd):
     for place in range(first_transfers(sensor, clock)):
-        chip = sensor.model(clock)
-        chip.fail = lambda number, place=place: code if number == place else 0
+        chip, code = sensor.model(clock), (errno.EREMOTEIO, errno.EIO)[(place + odd) % 2]
+        chip.fail = lambda number, place=place, code=code: code if number == place else 0
         flight = sensor.fly(clock, chip)
         flight.fly(0.6)
         assert codes(flight.batches) == ["started"], place
@@ -117,6 +117,7 @@ def test_one_failed_transaction_at_any_place_is_tried_again(clock, sensor, code)
 
 
 @EACH
+@pytest.mark.parametrize("every", [8, pytest.param(4, marks=pytest.mark.campaign)])  # places between those of the other
 @pytest.mark.parametrize(
     ("first", "code", "remedy"),
     [
@@ -126,8 +127,8 @@ def test_one_failed_transaction_at_any_place_is_tried_again(clock, sensor, code)
         (3, errno.ENODEV, "plug it in"),
     ],
 )
-def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, sensor, first, code, remedy):
-    for place in range(first, first_transfers(sensor, clock), 4):
+def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, sensor, first, code, remedy, every):
+    for place in range(first, first_transfers(sensor, clock), every):
         chip, dead = sensor.model(clock), {"until": 1 << 30}
         chip.fail = lambda number, place=place, dead=dead: code if place <= number < dead["until"] else 0
         flight = sensor.fly(clock, chip)
@@ -148,8 +149,13 @@ def test_a_bus_that_dies_at_any_transaction_is_told_once_and_survived(clock, sen
 
 @pytest.mark.parametrize("kind", ["icm20948", "nau7802"])
 @pytest.mark.parametrize(
-    ("parity", "code"), [(0, errno.EIO), (1, errno.EREMOTEIO), (0, errno.ETIMEDOUT), (1, errno.ENODEV)]
-)
+    ("parity", "code"),
+    [
+        (0, errno.EIO),
+        (1, errno.EREMOTEIO),
+        *(pytest.param(*one, marks=pytest.mark.campaign) for one in ((0, errno.ETIMEDOUT), (1, errno.ENODEV))),
+    ],
+)  # further errors of the bus: in the set-up, above
 def test_a_bus_error_at_any_transaction_in_flight_is_told_once_and_costs_no_count(clock, kind, parity, code):
     sensor = SENSORS[kind]
     for later in range(parity, 12, 2):

@@ -94,7 +94,7 @@ def test_a_poll_is_one_transfer_of_fifteen_bytes(clock):
 
 @pytest.mark.parametrize(
     "drift_percent",
-    [-5.0, -0.01, 0.0, *(pytest.param(one, marks=pytest.mark.campaign) for one in (-1.0, 0.02, 1.0)), 5.0],
+    [-5.0, 0.0, *(pytest.param(one, marks=pytest.mark.campaign) for one in (-1.0, -0.01, 0.02, 1.0)), 5.0],
 )
 def test_every_sample_is_taken_once_whatever_the_rate_of_the_chip(clock, drift_percent):
     flight = Flight(clock, drift_percent)
@@ -120,7 +120,7 @@ def test_what_a_late_host_missed_is_named_and_the_count_is_right_again(clock, dr
     assert slips.min() == slips[0] or slips.max() - slips.min() <= 1
 
 
-@settings(max_examples=5)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1), drift_percent=st.floats(-3.0, 3.0), share=st.sampled_from([0.0, 0.02, 0.2]))
 def test_late_stamps_and_late_polls_never_count_too_much(seed, drift_percent, share):
     clock = VirtualClock()

@@ -16,8 +16,12 @@ def flight(clock):
     return Flight(clock)
 
 
-@pytest.mark.parametrize("late_ms", [75, 100, 321, 2000, 9876])
-@pytest.mark.parametrize("period_ns", [990_099.2, 999_970.0, 1_000_000.0, 1_009_998.7])
+@pytest.mark.parametrize(
+    "late_ms", [75, *(pytest.param(one, marks=pytest.mark.campaign) for one in (100, 321)), 2000, 9876]
+)  # between the others, as the period is
+@pytest.mark.parametrize(
+    "period_ns", [990_099.2, pytest.param(999_970.0, marks=pytest.mark.campaign), 1_000_000.0, 1_009_998.7]
+)
 def test_an_overflow_loses_exactly_what_the_gap_says(clock, late_ms, period_ns):
     flight = Flight(clock, period_ns=period_ns)
     flight.start()
@@ -109,7 +113,9 @@ def test_a_count_that_cannot_be_is_asked_for_again_and_loses_nothing(flight, cou
     assert len(flight.check()) == flight.chip.written
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(one, marks=pytest.mark.campaign if one > 2 else ()) for one in range(12)]
+)  # other bytes
 def test_garbage_for_a_while_loses_no_more_than_was_made_in_it(flight, seed):
     """Every byte read is random, the chip's WHO_AM_I and counts among them: it is believed no number of samples."""
     rng = np.random.default_rng(seed)
@@ -290,7 +296,9 @@ def test_a_stop_while_the_bus_is_away_names_what_is_missing(flight):
     assert gap["first_missing"] == len(rows)
 
 
-@pytest.mark.parametrize("place", range(40))
+@pytest.mark.parametrize(
+    "place", [pytest.param(one, marks=pytest.mark.campaign if one % 3 else ()) for one in range(40)]
+)  # places between those of the others
 def test_an_error_at_any_transaction_of_a_recovery_leaves_the_count_whole(clock, place):
     """An overflow, and while it is mended the bus dies at transaction ``place`` for a while."""
     flight = Flight(clock)

@@ -197,7 +197,7 @@ SAID = st.lists(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(
     moves=st.lists(
         st.tuples(st.sampled_from([0, MS, 10 * MS, 600 * MS, 10_000 * MS]), SAID, st.integers(0, 40)), max_size=25

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 from cobs import cobs
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import FrameError
@@ -239,6 +239,7 @@ def nodes(draw):
     return channels, draw(st.lists(sample, min_size=1, max_size=4))
 
 
+@settings(max_examples=40)
 @given(nodes(), st.integers(0, 2**62 - 1), st.integers(0, 2**32 - 1), st.integers(0, 255))
 def test_encoder_model_and_decoder_agree(library, node, tick, boot, status):
     channels, samples = node

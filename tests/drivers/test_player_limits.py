@@ -144,7 +144,7 @@ CASES = st.builds(
 
 @example(Case(1, 2, 1.0, 0.1, (), ()))  # a blend that its limits make long
 @example(Case(2, 2, 0.0, 1.0, ((230, 8),), ()))  # late in mid-motion
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(CASES)
 def test_no_target_leaves_a_limit(case):
     wire = played(case)

@@ -217,7 +217,7 @@ MESSAGES = st.builds(
 TIMES = st.sampled_from([0, MS, 10 * MS, 10 * MS, 600 * MS, 10_000 * MS])
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(moves=st.lists(st.tuples(TIMES, MESSAGES | st.binary(max_size=50), st.integers(0, 40)), max_size=25))
 def test_nothing_that_comes_in_can_raise_or_be_lost_in_silence(moves):
     clock, port = VirtualClock(), ScriptedSerial()

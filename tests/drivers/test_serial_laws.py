@@ -70,9 +70,10 @@ LINES = {
 }
 
 
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.campaign)])  # calls between those of the other
 @pytest.mark.parametrize("line", LINES.values(), ids=LINES)
-def test_a_fault_at_any_call_is_told_and_loses_no_count(line):
-    for flight in fault_at_any_call(line.make, line.fly, line.on, line.calls):
+def test_a_fault_at_any_call_is_told_and_loses_no_count(line, every):
+    for flight in fault_at_any_call(line.make, line.fly, line.on, line.calls, every):
         for channel in flight.device.channels:
             if not channel.endswith("_mark"):
                 assert len(whole(flight.batches, channel)) >= line.rows

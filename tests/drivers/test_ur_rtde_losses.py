@@ -110,7 +110,7 @@ FUZZED = st.one_of(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(
     moves=st.lists(
         st.tuples(st.sampled_from([0, MS, 8 * MS, 600 * MS, 10_000 * MS]), FUZZED, st.integers(0, 40)), max_size=25

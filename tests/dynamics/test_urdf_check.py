@@ -190,7 +190,7 @@ def test_a_recorded_arm_needs_no_more_than_its_axes_and_one_that_may_be_simulate
 
 @pytest.mark.timeout(60)  # a second or two; minutes where the time grows with the square of the joints
 def test_chains_that_nothing_can_hold_are_refused_at_once() -> None:
-    for kind, count in (("revolute", 1000), ("fixed", 50_000)):
+    for kind, count in (("revolute", 1000), ("fixed", 20_000)):
         links = "".join(f'<link name="l{n}">{ARM}</link>' for n in range(count + 1))
         joints = "".join(
             f'<joint name="j{n}" type="{kind}"><parent link="l{n}"/><child link="l{n + 1}"/>{LIMIT}</joint>'

@@ -85,7 +85,12 @@ def test_an_encoder_that_freezes_at_rest_is_found_out_when_it_jumps(batch):
     assert not found[200:].any()
 
 
-@BATCHES
+LONG = pytest.mark.parametrize(
+    "batch", [pytest.param(1, marks=pytest.mark.campaign), 10, 1000]
+)  # one by one: shorter ones, above
+
+
+@LONG
 def test_a_joint_at_rest_or_slow_or_starting_is_not_stuck(batch):
     assert not judged(
         np.concatenate([np.zeros(500), sweep(), np.full(500, 15_000.0)]), math.inf, batch, travels=True
@@ -93,7 +98,7 @@ def test_a_joint_at_rest_or_slow_or_starting_is_not_stuck(batch):
     assert not judged(sweep(20_000), math.inf, batch, travels=True).any()  # a count every few samples
 
 
-@BATCHES
+@LONG
 def test_noise_of_an_angle_that_repeats_by_chance_after_a_large_difference_is_not_stuck(rng, batch):
     """An AS5048A's noise of 2.7 counts: of 40 s at 200 Hz of four joints some runs of four begin with eight counts."""
     angle = np.rint(1000.0 * np.sin(0.003 * np.arange(32_000)) + 2.7 * rng.normal(size=32_000))

@@ -33,7 +33,7 @@ class Flight:
         self.log = disk / "flight.mcap"
         directory.mkdir()
         self.rings = {
-            name: RingWriter(directory / f"{name}.ring", rows_of(name, 0, 0).dtype, 12 * rate)
+            name: RingWriter(directory / f"{name}.ring", rows_of(name, 0, 0).dtype, 6 * rate)
             for name, rate in RATES_HZ.items()
         }
         self.events = RingWriter(directory / "event.ring", EVENT, 2400)
@@ -70,14 +70,14 @@ def main(place):
     other = disk / "other"
     flight.seconds(4)
     fill(other, 2_000_000)  # it is seen coming: less than the margin is left
-    flight.seconds(20)
+    flight.seconds(10)
     other.unlink()
     flight.seconds(6)
     ballast = flight.log.with_name("flight.mcap.heft-reserve")
     held = ballast.exists()
     ballast.unlink()
     fill(other, 0)  # not one byte is left, and no ballast
-    refused = any(report.failing for report in flight.seconds(20))
+    refused = any(report.failing for report in flight.seconds(10))
     other.unlink()
     flight.seconds(6)
     closed = not flight.recorder.close(flight.now_ns).failing

@@ -42,7 +42,7 @@ def all_good(rows):
     assert logs.same_fields(rows["label"], logs.label_rows(0, logs.SMALL)[rows["label"]["sequence"].astype(int)])
 
 
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("step", [19, pytest.param(1, marks=pytest.mark.campaign)])
 def test_cut_at_every_byte_it_is_read_to_the_last_whole_chunk(tmp_path, step):
     data = logs.write_small(tmp_path / "least.mcap", logs.LEAST).read_bytes()
     places = logs.chunk_places(data)
@@ -87,7 +87,7 @@ def test_a_flipped_bit_in_a_chunk_costs_that_chunk_and_no_name(tmp_path, small, 
                 assert set(rows["reading"]["sequence"].tolist()) == set().union(*(chunk["reading"] for chunk in others))
 
 
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("step", [19, pytest.param(1, marks=pytest.mark.campaign)])
 def test_a_flipped_bit_anywhere_is_noticed_and_takes_at_most_a_chunk(tmp_path, rng, step):
     data = logs.write_small(tmp_path / "least.mcap", logs.LEAST).read_bytes()
     places = logs.chunk_places(data)
@@ -195,7 +195,7 @@ edits = st.lists(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(edits)
 def test_whatever_is_done_to_it_what_comes_back_was_written(module_log, edits):
     data = module_log.read_bytes()

@@ -62,6 +62,7 @@ def test_every_record_of_ours_comes_back(name):
     assert dtype_from_ros2msg(ros2msg(dtype)) == dtype
 
 
+@settings(max_examples=40)
 @given(fields)
 def test_any_dtype_comes_back(fields):
     dtype = np.dtype([(name, kind, shape) if shape else (name, kind) for name, kind, shape in fields], align=True)
@@ -71,6 +72,7 @@ def test_any_dtype_comes_back(fields):
     assert units_from_ros2msg(text) == units
 
 
+@settings(max_examples=40)
 @given(fields)
 def test_offsets_are_those_of_cdr(fields):
     """Plain CDR: each primitive on a multiple of its own size, counted from the end of the encapsulation header."""

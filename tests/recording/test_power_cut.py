@@ -117,7 +117,9 @@ def lay_out(files, directory):
     return [directory / path.name for path in files]
 
 
-@pytest.mark.parametrize("name", ["flight.mcap", "flight"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("flight.mcap", marks=pytest.mark.campaign), "flight"]
+)  # of segments that are beside others: test_segments
 def test_everything_before_the_last_sync_reads_back_from_every_prefix(tmp_path, rng, name):
     disk, promised, total = fly(tmp_path / name, rng)
     assert len({path for _, path, *_ in disk.history}) > 3

@@ -198,7 +198,7 @@ happenings = st.lists(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(happenings)
 def test_recorded_and_gaps_are_together_what_was_pushed(happenings):
     """Against a plain list: a real ring of 64 rows, a disk that fails at will, a device that loses samples."""
@@ -241,7 +241,7 @@ def test_recorders_that_die_at_any_step_are_followed_without_a_row_lost_doubled_
     ring = RealRing(tmp_path, capacity)
     log, now_ns = tmp_path / "log.mcap", 0
     preamble = Preamble("f1")
-    for _ in range(60):
+    for _ in range(30):
         writer = SegmentedLog.resume(log, preamble, limits=SegmentLimits(span_ns=8 * STEP_NS))
         recorder = Recorder(writer, [RingReader(ring.path)], recorded=writer.recorded)
         for _ in range(int(rng.integers(0, 7))):

@@ -67,7 +67,7 @@ def test_a_bit_in_every_chunk_in_turn_costs_that_chunk_and_is_told_to_the_row(tm
     assert sorted(lost_in_all) == list(range(logs.SMALL))  # each row is in one chunk, and lost with it alone
 
 
-@pytest.mark.parametrize("step", [37, pytest.param(13, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("step", [97, pytest.param(13, marks=pytest.mark.campaign)])
 def test_cut_anywhere_the_exit_code_says_what_became_of_it(tmp_path, small, monkeypatch, step):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     data = small.read_bytes()

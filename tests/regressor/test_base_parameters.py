@@ -184,7 +184,7 @@ def massless_urdf(rng, kinds, massless):
     return text
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @example((BaseKind.FIXED, ["fixed"], [True, False], True, 6))  # a tool on a wrist: mass in the payload alone
 @example((BaseKind.PRESCRIBED, [], [False], False, 6))  # one body
 @example((BaseKind.PRESCRIBED, ["fixed"], [True, True], False, 6))  # no body

@@ -38,7 +38,10 @@ def flood(now_ns: int) -> list[Batch]:
     return [health(now_ns), reasons, *changes, *events]
 
 
-@pytest.mark.parametrize("bytes_s", [100, 400, 1200, 10_000])
+@pytest.mark.parametrize(
+    "bytes_s",
+    [100, pytest.param(400, marks=pytest.mark.campaign), 1200, pytest.param(10_000, marks=pytest.mark.campaign)],
+)  # between the others, and more than enough
 def test_status_and_answers_never_starve(bytes_s: int) -> None:
     link = downlink(bytes_s=bytes_s)
     packets = flown(link, 60.0, flood)

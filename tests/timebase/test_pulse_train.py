@@ -41,7 +41,7 @@ def test_pulses_are_followed_over_the_end_of_the_code() -> None:
     assert all(named == place for named, place in found[3:])
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(
     first=st.integers(0, 3000),
     dropped=st.sets(st.integers(0, 79), max_size=20),

@@ -48,7 +48,7 @@ def recorders(
     )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 2**32), rate=st.floats(-0.02, 0.02), start_s=st.floats(0.0, 9.0))
 def test_any_offset_and_rate_are_found_through_an_unknown_map(seed: int, rate: float, start_s: float) -> None:
     reference, other, true_s = recorders(np.random.default_rng(seed), rate, start_s)

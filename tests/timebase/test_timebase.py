@@ -131,7 +131,9 @@ def test_before_anything_is_known_nothing_is_said(rng: np.random.Generator) -> N
     assert np.isinf(bench.timebase.sigma_ns("imu", 0))
 
 
-@pytest.mark.parametrize("cycle", [0, 1, 2, 7, 14])
+@pytest.mark.parametrize(
+    "cycle", [0, 1, *(pytest.param(one, marks=pytest.mark.campaign) for one in (2, 7)), 14]
+)  # between the others
 def test_a_line_first_heard_hours_after_its_start_gives_the_same_clock(cycle: int) -> None:
     """The code repeats after 2.07 h: which SYNC a pulse belongs to follows from the SYNC that came about then."""
     fleet = Fleet(11, 1000 + cycle * code.CODE_LENGTH)

@@ -215,7 +215,7 @@ def closed(size):
     return nonholonomic.fourier_path(START, coefficients)
 
 
-def flown_by(path, cycles, cycle_s=4.0):
+def flown_by(path, cycles, cycle_s=2.0):
     """MuJoCo's attitude after cycles at rest at both ends."""
 
     def motion(t):

@@ -8,7 +8,7 @@ import errno
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from hil_sim.faults import Fault, FaultKind
 from tests.hil_sim.devices.mpu6050_bench import Bench, plan
@@ -248,6 +248,7 @@ def test_a_strobe_marks_every_period_in_which_it_was_high(edge_ms, high_ms, mark
     assert (np.flatnonzero(temperature) + 1).tolist() == marked
 
 
+@settings(max_examples=40)
 @given(
     edges_us=st.lists(st.integers(0, 400_000), unique=True, max_size=8),
     polls_ms=st.lists(st.integers(1, 60), min_size=1, max_size=8),

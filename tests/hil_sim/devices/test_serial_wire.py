@@ -239,7 +239,7 @@ def test_a_fault_that_it_cannot_have_is_refused(twin, kind):
 
 
 @pytest.mark.parametrize("twin", TWINS)
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     pieces=st.lists(st.tuples(st.binary(max_size=60), st.floats(0.0, 30.0)), max_size=5),
     baud_rate=st.sampled_from([9600, 115_200, 230_400]),

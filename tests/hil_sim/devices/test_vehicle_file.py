@@ -98,15 +98,15 @@ def test_no_truth_is_what_the_estimator_starts_from_and_each_seed_has_its_own(tm
 def test_a_scenario_file_says_otherwise(tmp_path):
     over = written(
         tmp_path,
-        SHORT.replace("0.2", "10.0")
-        + "[payload]\nmass_kg = [4.0, 4.0]\n[capture]\nearliest_s = 9.0\nlatest_s = 9.0\n[release]\nrate_rad_s = 0.0\n"
+        SHORT.replace("0.2", "2.5")
+        + "[payload]\nmass_kg = [4.0, 4.0]\n[capture]\nearliest_s = 2.0\nlatest_s = 2.0\n[release]\nrate_rad_s = 0.0\n"
         + "[as_built.default]\nmass_relative = 0.0\n[motion.posture]\njoint_2 = 0.5\n"
         + "[[fault]]\nkind = 'off'\ndevice = 'imu_2'\nstart_s = 1.0\nend_s = 2.0\n",
     )
     mission = Mission(rehearsal(copied(tmp_path), over), 3)
     truth = mission.truth()
     assert truth["quantities"]["m_payload"] == pytest.approx(4.0)
-    assert truth["capture_s"] == pytest.approx(9.0, abs=0.01)
+    assert truth["capture_s"] == pytest.approx(2.0, abs=0.01)
     assert truth["posture"]["joint_2"] == 0.5
     assert truth["faults"][0]["device"] == "imu_2"
 

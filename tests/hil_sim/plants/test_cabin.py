@@ -12,11 +12,11 @@ SHORT = """
 strapped = false
 pull_s = 1.5
 change_s = 0.5
-low_s = 8.0
+low_s = 5.5
 release_s = [2.0, 2.4]
 motion_at_s = 3.2
-motion_s = 2.0
-catch_s = [6.0, 6.4]
+motion_s = 1.2
+catch_s = [4.8, 5.2]
 early = 0.0
 bumps = 1.0
 [[parabolas.run]]
@@ -69,5 +69,5 @@ def test_truth_says_when(plant):
     (run,) = plant.cabin.runs
     assert told["flown"] == "fast yaw"
     assert 4.0 < told["release_s"] == run.release_s < 4.4
-    assert 8.0 < told["catch_s"] < 8.4
+    assert 6.8 < told["catch_s"] < 7.2
     assert told["bumps_s"] == [run.bumps[0].at_s]

@@ -82,7 +82,7 @@ def test_mujoco_inertia_about_the_joint_is_the_parallel_axis_number(with_tip, zz
 def test_a_payload_in_the_shape_of_its_link_is_made_within_what_is_stated_of_that() -> None:
     told = rocket.scenario().as_built["tip_mass"]
     assert (told.density_relative, told.centre_mm, told.inertia_relative, told.place_mm) == (0.015, 1.0, 0.1, 0.25)
-    plants = [VehiclePlant(rocket.scenario(sequence=[rocket.HOLD]), np.random.default_rng(seed)) for seed in range(20)]
+    plants = [VehiclePlant(rocket.scenario(sequence=[rocket.HOLD]), np.random.default_rng(seed)) for seed in range(10)]
     masses = np.array([one.payload.mass_kg for one in plants])
     assert 0.005 < np.std(masses / TIP_kg) < 0.03
     off = np.array([one.payload.centre_of_mass_m - [0.0, -0.01391, 0.0] for one in plants])
@@ -100,7 +100,7 @@ def test_a_denser_part_keeps_its_radius_of_gyration() -> None:
     dense = {"as_built": exact | {name: exact[name] | {"density_relative": 0.015} for name in exact}}
     plants = [
         VehiclePlant(rocket.scenario(**dense, sequence=[rocket.HOLD]), np.random.default_rng(seed))
-        for seed in range(20)
+        for seed in range(10)
     ]
     for parts, mass_kg, moment in (
         ([one.bodies["arm"] for one in plants], ARM_kg, ARM_I_kg_m2[2, 2]),

@@ -24,9 +24,12 @@ PERFECT_CELL = {
 }
 
 
+def cell_table(**overrides):
+    return load("rocksat", {"sensor": {"load_cell": PERFECT_CELL | overrides}}).sensor["load_cell"]
+
+
 def cell_of(world, rng, **overrides) -> LoadCellSensor:
-    scenario = load("rocksat", {"sensor": {"load_cell": PERFECT_CELL | overrides}})
-    return LoadCellSensor(world, scenario.sensor["load_cell"], rng)
+    return LoadCellSensor(world, cell_table(**overrides), rng)
 
 
 def test_encoder_gives_whole_counts_of_500000_a_turn(rng) -> None:
@@ -84,7 +87,8 @@ def test_cell_drift_walk_and_creep(rng) -> None:
     rise = drifting.value(55.0) - drifting.value(5.0)
     assert rise == pytest.approx(50.0 * drifting.truth()["drift_N_s"], rel=1e-6)
     assert rise != 0.0
-    walks = [cell_of(World(4.1), np.random.default_rng(s), zero_walk_N_sqrt_s=1e-3).value(4.0) for s in range(200)]
+    table = cell_table(zero_walk_N_sqrt_s=1e-3)
+    walks = [LoadCellSensor(World(4.1), table, np.random.default_rng(s)).value(4.0) for s in range(200)]
     assert np.std(walks) == pytest.approx(2e-3, rel=0.15)
     creeping = cell_of(World(60.0, moment_n_m=lambda t: np.full(len(t), 0.4)), rng, creep_fraction=1e-3)
     assert creeping.value(0.1) == pytest.approx(10.0, rel=2e-5)

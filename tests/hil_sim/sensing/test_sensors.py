@@ -67,8 +67,12 @@ class World:
         """All of it is there."""
 
 
+def imu_table(**overrides):
+    return load("rocksat", {"sensor": {"imu": PERFECT_IMU | overrides}}).sensor["imu"]
+
+
 def imu_of(world, rng, **overrides) -> ImuSensor:
-    return ImuSensor(world, load("rocksat", {"sensor": {"imu": PERFECT_IMU | overrides}}).sensor["imu"], rng)
+    return ImuSensor(world, imu_table(**overrides), rng)
 
 
 def tone(frequency_hz: float, size: float):
@@ -197,8 +201,8 @@ def test_a_bias_wanders_and_walks() -> None:
     """Over 4 s and 40 draws: differences of a walk grow with the root of time, those of the slow process do not."""
 
     def read(draws=40, **axes):
-        gyro = PERFECT_AXES | axes
-        sensors = [imu_of(World(4.05), np.random.default_rng(seed), gyro_deg_s=gyro) for seed in range(draws)]
+        table = imu_table(gyro_deg_s=PERFECT_AXES | axes)
+        sensors = [ImuSensor(World(4.05), table, np.random.default_rng(seed)) for seed in range(draws)]
         times = np.arange(0.05, 4.0, 0.05)
         return np.stack([one.counts(times, 16384.0, 1000.0, 0)[:, 4:7] / 1000.0 for one in sensors])
 
@@ -270,8 +274,8 @@ def test_mounting_rotates_accelerometer_and_gyro_alike(rng) -> None:
 
 
 def test_counts_do_not_hang_on_the_polling() -> None:
-    scenario = load("rocksat", {"sequence": [{"phase": 0, "action": "hold", "duration_s": 2.0}]})
-    times = np.arange(0.05, 1.9, 1.0037e-3)
+    scenario = load("rocksat", {"sequence": [{"phase": 0, "action": "hold", "duration_s": 1.0}]})
+    times = np.arange(0.05, 0.9, 1.0037e-3)
     answers = []
     for batch in (1, 7, 2000):
         plant = VehiclePlant(scenario, np.random.default_rng(1))
