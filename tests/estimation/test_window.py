@@ -114,9 +114,9 @@ def test_intervals_of_a_fading_or_windowed_estimate_cover(rng, memory):
         found = RecursiveLeastSquares(2, 0, 0.5, memory)
         found.rls.prior(np.zeros(2), np.full(2, 100.0))
         y = Y @ [2.0, -1.0] + slow
-        for first in range(0, at.size, 50):
-            some = slice(first, first + 50)
-            found.add(at[some], Y[some], y[some], np.full(50, 0.1))
+        for first in range(0, at.size, 200):
+            some = slice(first, first + 200)
+            found.add(at[some], Y[some], y[some], np.full(200, 0.1))
         interval = found.block_jackknife().combination(np.eye(2))
         inside += int(((interval.low <= [2.0, -1.0]) & (interval.high >= [2.0, -1.0])).sum())
     assert 0.92 <= inside / 300 <= 0.995
