@@ -62,9 +62,14 @@ def momentum(flight):
     return whole * flight.data.subtree_linvel[base], flight.data.subtree_angmom[base].copy()
 
 
-def test_wheels_exchange_momentum_and_calm_the_base():
+@pytest.fixture(scope="module")
+def held():
+    return flown(HOLD)
+
+
+def test_wheels_exchange_momentum_and_calm_the_base(held):
     before = momentum(flown(HOLD, STEP_s)[1])
-    _, flight, rate, spun = flown(HOLD)
+    _, flight, rate, spun = held
     after = momentum(flight)
     assert np.abs(spun[-1] - 100.0).max() > 5.0  # they have worked
     a_millionth = 1e-6 * np.linalg.norm(before[1])
@@ -77,8 +82,8 @@ def test_wheels_exchange_momentum_and_calm_the_base():
 
 
 @pytest.mark.parametrize("wheels", [True, False])
-def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(wheels):
-    motion, _, rate, speeds = flown(HOLD)
+def test_the_estimators_model_predicts_the_base_with_its_wheels_and_only_so(held, wheels):
+    motion, _, rate, speeds = held
     rate, spin = rate[::EVERY], speeds[::EVERY] if wheels else np.zeros((len(speeds[::EVERY]), 3))
     q, dq, ddq = motion.at(EVERY * STEP_s * np.arange(len(rate)))
     still, change = np.zeros_like(spin), np.gradient(spin, EVERY * STEP_s, axis=0, edge_order=2)
