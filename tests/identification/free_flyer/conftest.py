@@ -1,4 +1,4 @@
-"""Flights flown once for all tests of a module: one that holds a payload, one that captures and releases it."""
+"""Flights flown once for all tests: one that holds a payload, one that captures and releases it."""
 
 import numpy as np
 import pytest
@@ -8,17 +8,25 @@ from tests.dynamics.free_flyer_twin import BOX, twin
 from tests.identification.free_flyer.recorded_flights import CAPTURE_s, END_s, RELEASE_s, recorded
 
 
-@pytest.fixture(scope="module")
+def sealed(signals):
+    """No test changes what the next ones fly."""
+    for part in signals:
+        if isinstance(part, np.ndarray):
+            part.setflags(write=False)
+    return signals
+
+
+@pytest.fixture(scope="session")
 def flown():
     return twin(8.0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def held(flown):
-    return recorded(flown.flight, np.random.default_rng(3))
+    return sealed(recorded(flown.flight, np.random.default_rng(3)))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def mission():
     """Nothing held, a capture, a release."""
     rng = np.random.default_rng(11)
@@ -27,4 +35,4 @@ def mission():
     free_flyer.fly_with_capture(flight, capture, RELEASE_s)
     flight.release()
     flight.advance(round((END_s - RELEASE_s) / flight.step_s))
-    return recorded(flight.history, rng)
+    return sealed(recorded(flight.history, rng))

@@ -36,6 +36,14 @@ def flown(case, *, told_s=None):
     return body, found
 
 
+@pytest.fixture(scope="module")
+def announced():
+    """Makes a capture that is announced, flown once: the case, the estimator of its motion, its answers."""
+    case = Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
+    kept = pickle.dumps((case, *flown(case, told_s=CAPTURE_s)))
+    return lambda: pickle.loads(kept)
+
+
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (2, 3))])
 def test_a_large_body_that_tumbles_is_told_with_an_interval_that_holds(seed):
     case = Case(seed, LARGE, np.array([0.02, -0.01, 0.015]), RATE, CAPTURE_s, END_s)
@@ -73,9 +81,8 @@ def test_an_announcement_tells_when_the_payload_was_touched_to_the_period_of_a_s
     assert touched
 
 
-def test_minutes_later_it_is_told_with_the_zeros_at_the_capture_as_they_were_known_before(monkeypatch):
-    case = Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
-    body, found = flown(case, told_s=CAPTURE_s)
+def test_minutes_later_it_is_told_with_the_zeros_at_the_capture_as_they_were_known_before(announced, monkeypatch):
+    case, body, found = announced()
     monkeypatch.setattr(case.online, "ticks_used", 30000)
     assert body.due
     state, zeros = body._before(CAPTURE_s)
@@ -87,9 +94,8 @@ def test_minutes_later_it_is_told_with_the_zeros_at_the_capture_as_they_were_kno
         assert not now.supported or now.sigma < 1.1 * before.sigma
 
 
-def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release():
-    case = Case(1, LARGE, np.zeros(3), RATE, CAPTURE_s, END_s)
-    body, found = flown(case, told_s=CAPTURE_s)
+def test_a_capture_that_is_announced_is_told_too_and_nothing_after_a_release(announced):
+    case, body, found = announced()
     assert case.online.changes[0].kind == "capture"
     told = [one for one in found[-1][3:] if one.supported]
     assert told

@@ -29,8 +29,13 @@ def told_of(ticks):
     return [np.concatenate(parts) for parts in zip(*found, strict=True)]
 
 
-def test_errors_are_as_wide_as_is_said(ticks) -> None:
-    time_s, error, sigma, used = told_of(ticks)
+@pytest.fixture(scope="module")
+def told(ticks):
+    return told_of(ticks)
+
+
+def test_errors_are_as_wide_as_is_said(ticks, told) -> None:
+    time_s, error, sigma, used = told
     assert len(time_s) > 200
     assert (np.diff(time_s) > 0).all()
     assert used.all()
@@ -38,8 +43,8 @@ def test_errors_are_as_wide_as_is_said(ticks) -> None:
     assert (sigma >= ticks.sigma[0]).all()
 
 
-def test_an_outlier_is_told_as_it_was_measured_and_as_left_out(ticks) -> None:
-    before_s, before, sigma, _ = told_of(ticks)
+def test_an_outlier_is_told_as_it_was_measured_and_as_left_out(ticks, told) -> None:
+    before_s, before, sigma, _ = told
     measured = ticks.measured.copy()
     measured[OUTLIER, 4] += 40.0 * ticks.sigma[0, 4]
     time_s, error, _, used = told_of(ticks._replace(measured=measured))

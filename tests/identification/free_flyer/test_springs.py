@@ -31,7 +31,9 @@ def flown(frequency_Hz):
     return recorded(free_flyer.FreeFlightSignals(*seen), rng)
 
 
-@pytest.mark.parametrize("frequency_Hz", [0.0, 3.0])
+@pytest.mark.parametrize(
+    "frequency_Hz", [0.0, pytest.param(3.0, marks=pytest.mark.campaign)]
+)  # with a payload: prediction/test_flexible
 def test_joints_that_give_way_are_the_reason(frequency_Hz):
     signals = flown(frequency_Hz)
     ekf = online(signals, held=False)

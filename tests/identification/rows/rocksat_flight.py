@@ -103,7 +103,7 @@ def part(signals, which):
     return Signals(*map(cut, signals))
 
 
-def feed(who, signals, held, excluded=None, step=5):
+def feed(who, signals, held, excluded=None, step=20):
     flags = np.zeros(held.size, np.int64) if excluded is None else excluded
     found = [
         who.update(part(signals, slice(k, k + step)), held[k : k + step], flags[k : k + step])

@@ -14,7 +14,10 @@ CAUSES = (
 )
 
 
-@pytest.mark.parametrize(("scale", "level"), [(1.0, ""), (0.85, "doubts"), (1.35, "against"), (0.5, "against")])
+@pytest.mark.parametrize(
+    ("scale", "level"),
+    [(1.0, ""), (0.85, "doubts"), pytest.param(1.35, "against", marks=pytest.mark.campaign), (0.5, "against")],
+)  # less
 def test_an_arm_that_does_not_weigh_what_was_drawn_tells_of_a_wrong_scale(rng, scale, level):
     signals, held, _ = flight(rng)
     who = identifier(CAUSES)
@@ -27,7 +30,10 @@ def test_an_arm_that_does_not_weigh_what_was_drawn_tells_of_a_wrong_scale(rng, s
         assert said.endswith("check load_cell scale_sigma, joint_1 scale_sigma")
 
 
-@pytest.mark.parametrize(("scale", "after"), [(1.0, "always"), (0.85, "always"), (0.87, "the release")])
+@pytest.mark.parametrize(
+    ("scale", "after"),
+    [(1.0, "always"), pytest.param(0.85, "always", marks=pytest.mark.campaign), (0.87, "the release")],
+)  # of part of it
 def test_intervals_contain_a_scale_that_the_drawn_arm_shows(rng, scale, after):
     """By the rows each inertia is known to a few per mille, and no row shows a scale that is wrong for all of them."""
     signals, held, _ = flight(rng)

@@ -85,17 +85,19 @@ def test_a_delay_is_considered_by_the_rate_of_the_reading(rng):
     signals = signals._replace(noise=None)
     delay = (Considered("delay", "load_cell", "delay", 1e-3),)
     who = rocksat_flight.identifier(considered=delay)
-    rocksat_flight.feed(who, signals, held)
+    rocksat_flight.feed(who, signals, held, step=5)
     late = rocksat_flight.identifier(considered=())
-    rocksat_flight.feed(late, signals._replace(measured=signals.measured - 1e-3 * signals.measured_rate), held)
+    rocksat_flight.feed(late, signals._replace(measured=signals.measured - 1e-3 * signals.measured_rate), held, step=5)
     on_time = rocksat_flight.identifier(considered=())
-    rocksat_flight.feed(on_time, signals, held)
+    rocksat_flight.feed(on_time, signals, held, step=5)
     moved = late.rls.solve().mean - on_time.rls.solve().mean
     sensitivity = who.rls.solve().sensitivity[:, 0] * 1e-3
     assert np.abs(moved).max() > 1e-6
     np.testing.assert_allclose(moved, sensitivity, rtol=1e-6, atol=1e-12)
     with pytest.raises(SignalError, match="rate"):
-        rocksat_flight.feed(rocksat_flight.identifier(considered=delay), signals._replace(measured_rate=None), held)
+        rocksat_flight.feed(
+            rocksat_flight.identifier(considered=delay), signals._replace(measured_rate=None), held, step=5
+        )
 
 
 @pytest.mark.parametrize("since_boot_s", [0.0, 1e5])
@@ -105,11 +107,13 @@ def test_a_drift_of_a_cells_zero_is_considered_whenever_the_computer_was_started
     who = rocksat_flight.identifier(
         considered=(Considered("drift", "load_cell", "drift", 1e-3, "load_cell zero_drift_N_s"),)
     )
-    rocksat_flight.feed(who, signals, held)
+    rocksat_flight.feed(who, signals, held, step=5)
     since_start_s = signals.time_s - signals.time_s[0]
     drifting, steady = rocksat_flight.identifier(considered=()), rocksat_flight.identifier(considered=())
-    rocksat_flight.feed(drifting, signals._replace(measured=signals.measured + 1e-3 * since_start_s[:, None]), held)
-    rocksat_flight.feed(steady, signals, held)
+    rocksat_flight.feed(
+        drifting, signals._replace(measured=signals.measured + 1e-3 * since_start_s[:, None]), held, step=5
+    )
+    rocksat_flight.feed(steady, signals, held, step=5)
     zz = rocksat_flight.setup()[3][0].weights
     moved = zz @ (drifting.rls.solve().mean - steady.rls.solve().mean)
     assert abs(moved) > 1e-9

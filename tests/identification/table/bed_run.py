@@ -1,6 +1,7 @@
 """A run of an arm on an air-bearing table, flown in MuJoCo, and its signals."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +39,7 @@ def vehicle(base=BaseKind.PLANAR, payload="payload"):
     return VehicleModel(URDF, VehicleSpec(base, "base", payload))
 
 
+@cache
 def fly(swing, seconds=SECONDS, drags=DRAGS):
     rng = np.random.default_rng(5)
     motion = free_flyer.JointMotion.draw(rng, swing)

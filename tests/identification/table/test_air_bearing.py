@@ -176,7 +176,7 @@ def test_an_arm_that_stands_still_fits_nothing(rng):
 
 
 def test_a_gyro_that_reads_too_much_contradicts_the_joints(run, rng):
-    signals = noisy(run, rng).coarser(2)
+    signals = noisy(run, rng).coarser(4)
     found = TableFit(run.vehicle, "imu_base", signals._replace(rate=1.05 * signals.rate), WIDE, {}, PRIOR).fit()
     assert "contradict" in drag_of(found, PUCKS).reason
 
@@ -218,7 +218,7 @@ def test_what_is_held_in_a_stage_stays_and_the_rest_is_fitted(run):
 
 
 def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, rng):
-    signals = noisy(run, rng).coarser(2)
+    signals = noisy(run, rng).coarser(4)
     off = 0.01 * np.eye(5)[2]  # of joint_3, read too large
     joints = {joint.name: JointPrior(zero=0.005) for joint in run.vehicle.joints}
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))

@@ -63,7 +63,13 @@ def test_the_stiffness_is_stated_within_its_sigma(springy):
     assert np.abs((1.0 + OFF) * (1.0 + state[at]) - 1.0).max() < 0.03  # it was known to 0.1
 
 
-@pytest.mark.parametrize(("off", "stated", "why"), [(OFF, False, "swings at"), (-5.0 * OFF, True, "stiffness_joint")])
+@pytest.mark.parametrize(
+    ("off", "stated", "why"),
+    [
+        (OFF, False, "swings at"),
+        (-5.0 * OFF, True, "stiffness_joint"),
+    ],
+)
 def test_a_stiffness_that_is_missing_or_wrong_is_the_reason(springy, off, stated, why):
     identifier, ticks = flight_of(springy, off, stated=stated)
     found = answer(identifier, ticks)
@@ -73,6 +79,7 @@ def test_a_stiffness_that_is_missing_or_wrong_is_the_reason(springy, off, stated
         assert why in said.text
 
 
+@pytest.mark.campaign  # of an arm without springs, whose state has the same form: test_recursive
 def test_a_checkpoint_goes_on_to_the_same_bits(springy):
     identifier, ticks = flight_of(springy, OFF)
     identifier.ekf.update(ticks.part(slice(0, 400)))

@@ -38,6 +38,7 @@ def test_capture_and_ejection_are_found_and_only_the_payload_forgotten(mission):
     recursive.update(ticks.part(slice(gone, None)))
     assert [change.kind for change in recursive.changes] == ["change", "capture", "change", "ejection"]
     assert recursive.changes[1][1:] == recursive.changes[0][1:]
+    assert not recursive.exchanged
     assert RELEASE_s < recursive.changes[2].time_s < RELEASE_s + 0.5
     assert recursive.held is False
     assert recursive.estimate() is None
@@ -81,7 +82,7 @@ def test_a_push_is_a_contact_and_the_payload_is_kept(rng):
     assert abs(found.body.mass_kg - 5.0) < 4.0 * sigma
 
 
-def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
+def test_a_payload_that_turns_into_another_contradicts_itself(held):
     joint = np.array([1.0, 1.03, 1.0, 1.0, 1.0])
     ticks = ticks_of(held)
     wrong = np.arange(len(ticks.time_s))[:, None] >= 500
@@ -105,10 +106,6 @@ def test_a_payload_that_turns_into_another_contradicts_itself(held, mission):
     wary.misfit.add("gyro", 1e6, 60)
     assert "gyro" in identifier.findings().doubts[0]
     assert identifier.estimate().sigma[0] > 2.0 * wary.covariance[PAYLOAD, PAYLOAD][0, 0] ** 0.5
-    fine = online(mission, held=False)
-    fine.update(ticks_of(mission))
-    assert [change.kind for change in fine.changes] == ["change", "capture", "change", "ejection"]
-    assert not fine.exchanged
 
 
 def test_told_is_as_good_as_found(mission):
@@ -188,6 +185,7 @@ def test_a_capture_and_a_release_while_the_joints_are_not_known_are_found_after_
     assert recursive.estimate() is None
 
 
+@pytest.mark.campaign  # of a base that is likely not as drawn: below
 def test_what_the_empty_arm_told_before_a_capture_is_kept(rng):
     flight = free_flyer.FreeFlight(free_flyer.JointMotion.draw(rng), rng.uniform(-0.05, 0.05, 3))
     capture = free_flyer.Capture(BOX, 4.0, 0.02 * rng.normal(size=3), 0.02 * rng.normal(size=3))
@@ -234,7 +232,7 @@ def test_a_payload_caught_at_rest_and_noticed_late_leaves_nothing_of_the_motion_
     rng, light = np.random.default_rng(18), BOX.grown(0.2)
     flight = free_flyer.FreeFlight(_Later(free_flyer.JointMotion.draw(rng)), rng.uniform(-0.01, 0.01, 3))
     caught = free_flyer.Capture(light, 2.0, np.zeros(3), np.zeros(3))
-    signals = recorded(free_flyer.fly_with_capture(flight, caught, 20.0), rng)
+    signals = recorded(free_flyer.fly_with_capture(flight, caught, 16.0), rng)
     recursive, ticks = online(signals, held=False, imu_prior=PRIOR, links=LINKS), ticks_of(signals)
     looked_back = []
     monkeypatch.setattr(
@@ -265,7 +263,7 @@ class _Later(NamedTuple):
         return first + share[0] * away, rate, bend
 
 
-@pytest.mark.parametrize(("tick", "by"), [(500, 0.9), (600, 1.02)])
+@pytest.mark.parametrize(("tick", "by"), [pytest.param(500, 0.9, marks=pytest.mark.campaign), (600, 1.02)])  # less
 def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
     """It is named, and what was known of the payload stays."""
     ticks, recursive = ticks_of(held), online(held, imu_prior=PRIOR)
@@ -286,7 +284,8 @@ def test_an_imu_whose_scales_step_is_no_other_payload(held, tick, by):
     [
         (100, 5.0, 1.08, 4.8, ["change", "altered"]),
         pytest.param(104, 20.0, 0.82, 6.4, ["change", "altered"], marks=pytest.mark.campaign),  # as the first
-        (503, 5.0, 1.14, 3.2, ["altered"]),  # while its first seconds are solved as a window
+        # while its first seconds are solved as a window
+        pytest.param(503, 5.0, 1.14, 3.2, ["altered"], marks=pytest.mark.campaign),
     ],
 )
 def test_a_payload_that_loses_or_gains_a_part_is_followed_and_no_instrument_is_blamed(seed, noise, share, at_s, told):

@@ -91,6 +91,7 @@ def test_it_is_named_and_nothing_that_it_told_is_kept(caught):
     assert np.sqrt(found.covariance[0, 0]) < 1.2 * sigma
 
 
+@pytest.mark.campaign  # of another window: above; which problem is solved without it: below
 def test_one_that_shows_in_the_second_window_of_a_payload_is_left_out_with_that_window():
     """What was known before is given up; the next window has all ticks of this one, and is due at once."""
     rng = np.random.default_rng(7)

@@ -38,8 +38,8 @@ def identifier():
 def fly(found, rng, told_s=8.0, gone_s=8.0, scale=lambda _: (1.0, 1.0), again_s=99.0, back_s=99.0):
     """A swinging arm; the release is told at ``told_s`` and again, if not believed, at ``again_s``."""
     rows, news = model(), []
-    for start in np.arange(0.0, 16.0, 0.5):
-        t = start + 0.01 * np.arange(50)
+    for start in np.arange(0.0, 16.0):
+        t = start + 0.01 * np.arange(100)
         q = (0.2 * np.sin(4.0 * t))[:, None]
         dq, ddq = (0.8 * np.cos(4.0 * t))[:, None], -16.0 * q
         motion = standing(rows.vehicle, t.size)

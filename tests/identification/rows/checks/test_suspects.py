@@ -47,7 +47,12 @@ WRONG = {
     "the mount": (mounted([0.0, 0.03, 0.0]), "cells at wrist"),
     "the level": (tilted([0.02, 0.0, 0.0]), "level of bench"),
 }
-AS_OTHERS = "a large zero", "a moment's axis"  # of another joint or axis than a zero or an axis that stay
+AS_OTHERS = (
+    "a large zero",
+    "a moment's axis",
+    "an encoder's scale",
+    "the level",
+)  # an axis, a zero stay; test_errors_of_angles
 
 
 @pytest.mark.parametrize("heavy", [False, pytest.param(True, marks=pytest.mark.campaign)])  # another tool
