@@ -322,7 +322,7 @@ def test_the_installed_heft_is_found_beside_a_checkout_of_that_name(tmp_path: Pa
     """A clone in the home directory is a directory ``heft``, a namespace package to a Python that is started there."""
     for name in ("heft", "onboard", "drivers", "hil_sim"):
         (tmp_path / name).mkdir()
-    script = "import heft, onboard.cli, drivers.records, hil_sim.mission; print(heft.open.__name__)"
+    script = "import heft, onboard.channels, drivers.records, hil_sim.arrays; print(heft.open.__name__)"
     clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     ran = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, env=clean, capture_output=True, text=True, check=False

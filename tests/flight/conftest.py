@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from onboard.flight.supervise.runner_forks import ForkServer
-from tests.flight.missions import BRIEF, CATCH, CATCH_SEED, SHORT, Result, fly
+from tests.flight.missions import CATCH, CATCH_SEED, SHORTER, Result, fly
 from tests.flight.mixed_flight import MixedFlight, fly_mixed
 
 
@@ -46,14 +46,8 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 @pytest.fixture(scope="session")
 def short_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """For what hangs on no phase and no length of the flight: :data:`SHORT`."""
-    return flown_once(tmp_path_factory, "short", sequence=SHORT)
-
-
-@pytest.fixture(scope="session")
-def brief_mission(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """For what hangs on no answer either: :data:`BRIEF`."""
-    return flown_once(tmp_path_factory, "brief", sequence=BRIEF)
+    """For what hangs on no phase and no length of the flight: :data:`SHORTER`."""
+    return flown_once(tmp_path_factory, "shorter", sequence=SHORTER)
 
 
 @pytest.fixture(scope="session")

@@ -29,6 +29,8 @@ SHORT = [  # of RockSat: 16 s in which all three masses are found
     {"phase": 9, "action": "hold", "duration_s": 0.5},
 ]
 BRIEF = [*SHORT[:1], sweep(3, 0.6), SHORT[-1]]  # 8 s with the tip mass, which determine next to nothing
+# 9 s in which all three are found too, less exactly
+SHORTER = [SHORT[0] | {"duration_s": 2.0}, sweep(3, 0.5), SHORT[3] | {"duration_s": 0.5}, sweep(3, 0.5), SHORT[5]]
 CATCH_SEED = 14
 CATCH: dict[str, Any] = {  # of DYMAFLEX: 13.5 s
     "sequence": [

@@ -64,7 +64,10 @@ def model_of(path: Path) -> VehicleModel:
     return build_online(config.load(path))[1]
 
 
-@pytest.mark.parametrize("base", ["free", "prescribed", "fixed", "planar"])
+@pytest.mark.parametrize(
+    "base",
+    ["free", "prescribed", "fixed", pytest.param("planar", marks=pytest.mark.campaign)],  # test_air_bearing
+)
 def test_it_is_a_vehicle_and_flies(base: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = begin(tmp_path, ROBOT, base, "--joints", "shoulder,fore", "--payload-link", "tcp")
     said = capsys.readouterr().out

@@ -15,14 +15,14 @@ JOINTS = "joint_1", "joint_2"
 
 
 def test_an_arm_of_magnets_is_weighed_with(tmp_path):
-    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], swing=8.0, seed=6)
+    result, log, _ = rehearsed(tmp_path, [*ARM, "as5048a"], swing=7.0, seed=6)
     honest(answers(result))
     moment = answers(result)["MY_payload"]
     assert moment["supported"]
     assert abs(moment["value"] - moment["truth"]) < 2e-3  # kg m; through 100 ms it was 12 to 18e-3 off
     for joint in JOINTS:
         rows = log.read(joint)
-        assert len(rows) > 9.0 * 200
+        assert len(rows) > 8.0 * 200
         assert set(rows["status"]) == {0}
         assert set(rows["device_status"]) == {0x01}
         assert result["channels"][joint]["missing"] == 0
@@ -30,7 +30,7 @@ def test_an_arm_of_magnets_is_weighed_with(tmp_path):
     assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # two chips have noise of their own
 
 
-@pytest.mark.campaign  # the driver: test_magnets, test_as5048; in flight: test_i2c_devices
+@pytest.mark.campaign  # the driver: test_magnets, test_as5048
 @pytest.mark.parametrize("kind", ["as5048a", "as5048b"])
 def test_a_magnet_that_comes_loose_is_named_and_what_breaks_is_survived(tmp_path, kind):
     faults = [

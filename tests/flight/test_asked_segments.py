@@ -94,8 +94,10 @@ def test_what_is_not_to_be_played_is_refused(asked):
     "fault",
     [
         Fault("silent", "sync_box", 5.8, 5.85),
-        Fault("trip", "elbow", 5.8),
-        pytest.param(Fault("silent", "elbow", 5.8, 5.85), marks=pytest.mark.campaign),
+        *(  # of a motion from a file: test_driving
+            pytest.param(one, marks=pytest.mark.campaign)
+            for one in (Fault("trip", "elbow", 5.8), Fault("silent", "elbow", 5.8, 5.85))
+        ),
     ],
 )
 def test_what_stops_a_motion_stops_it_between_segments_too(asked, fault):

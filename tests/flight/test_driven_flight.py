@@ -65,7 +65,7 @@ def last_answers(log: LogReader, mission: DrivenFlight) -> dict[str, Any]:
     return last
 
 
-@pytest.mark.campaign  # its answers: below; by torques that are read: test_joint_torques
+@pytest.mark.campaign  # by servos: test_servo_arm; by torques that are read: test_joint_torques
 def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
     """Torques that are read are what moves the arm and what the drives' friction takes."""
     vehicle = written(tmp_path, torque=True)
@@ -82,6 +82,7 @@ def test_a_flight_by_its_own_drives_tells_what_it_holds(tmp_path: Path) -> None:
     assert (np.ptp(gyro, axis=0)[[1, 2]] > 500).all()  # the arm turned the base
 
 
+@pytest.mark.campaign  # asked for until enough is known: before/planning/test_segments; played: test_asked_segments
 def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: Path) -> None:
     """Asked for by the estimation, played by the acquisition, felt by the base, seen in the answer."""
     vehicle, segments = written(tmp_path), tmp_path / "plan" / "segments.npz"
@@ -104,7 +105,7 @@ def test_the_flight_asks_its_drives_for_motions_until_it_knows_enough(tmp_path: 
     assert last["m_payload"]["sigma"] < 0.2 * mission.truth()["quantities"]["m_payload"]
 
 
-@pytest.mark.campaign  # of a worker: test_driving; what else stops a motion of a flight: test_servo_arm
+@pytest.mark.campaign  # of a worker: test_driving; what stops a flight, on the real clock: test_servo_arm
 def test_a_drive_that_trips_ends_the_motion(tmp_path: Path) -> None:
     vehicle = written(tmp_path)
     mission, log = world(vehicle, None, 8, 3.5, ["trip:joint_1:2.5:"]), tmp_path / "flight.mcap"

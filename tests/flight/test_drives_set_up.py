@@ -49,7 +49,9 @@ def in_fault(drive):
         (never_enables, "drive_stopped", "not enabled within 3 s, statuswords: elbow 0"),
         (keeps_its_mode, "drive_stopped", "elbow is in mode 1, not 8"),
         (keeps_its_limits, "configuration", "607Dh:01 was written"),
-        (has_no_quick_stop, "configuration", "605Ah"),
+        pytest.param(
+            has_no_quick_stop, "configuration", "605Ah", marks=pytest.mark.campaign
+        ),  # an abort: test_canopen_frame
         (in_fault, "drive_refused", "elbow "),
     ],
 )
@@ -77,7 +79,7 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(bench):
 
 def test_way_points_of_a_profile(bench):
     time_s, q = swing(rows=9)
-    flown = bench(drive='mode = "profile"', csv=csv_of(time_s, q)).run(6.0)
+    flown = bench(drive='mode = "profile"', csv=csv_of(time_s, q)).run(5.0)
     assert flown.codes == ["drive_armed", "drive_started", "drive_done"]
     assert flown.axis("shoulder").highest_rad == pytest.approx(0.5, abs=0.02)
     assert flown.axis("shoulder").angle_rad(1e-9 * (flown.rig.now_ns - START_NS)) == pytest.approx(0.0, abs=2e-3)

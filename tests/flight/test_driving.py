@@ -90,7 +90,9 @@ def test_off_unless_armed(bench, tmp_path, said):
     [
         (Fault("trip", "elbow", 2.4), "elbow reports 2310h"),
         (Fault("silent", "elbow", 2.4, 2.45), "elbow has not answered SYNC"),
-        (Fault("silent", "sync_box", 2.4, 2.45), "no SYNC for"),
+        pytest.param(
+            Fault("silent", "sync_box", 2.4, 2.45), "no SYNC for", marks=pytest.mark.campaign
+        ),  # test_asked_segments
         pytest.param(Fault("off", "sync_box", 2.4, 2.45), "no SYNC for", marks=pytest.mark.campaign),
         pytest.param(Fault("reset", "elbow", 2.4), "elbow has not answered SYNC", marks=pytest.mark.campaign),
         (Fault("bus_off", BUS, 2.4, 2.6), "SYNC for"),  # the producer, or a drive: whichever limit is over first
@@ -141,7 +143,7 @@ def midway(request, tmp_path):
         yield make().run(seconds)
 
 
-@pytest.mark.parametrize("away_s", [0.02, 1.0])
+@pytest.mark.parametrize("away_s", [0.02, pytest.param(1.0, marks=pytest.mark.campaign)])  # 1 s: at rest
 def test_an_acquisition_that_is_started_again_does_not_move_the_arm(midway, away_s):
     midway.opened.close()
     midway.run(away_s, pumped=False)
@@ -163,8 +165,7 @@ def test_a_computer_that_stood_still_stops_the_arm(midway):
 @pytest.mark.parametrize(
     ("at_s", "late_s"),
     [
-        (2.3, 0.02),
-        *(pytest.param(*one, marks=pytest.mark.campaign) for one in ((2.7, 0.03), (2.7, 0.05))),
+        *(pytest.param(*one, marks=pytest.mark.campaign) for one in ((2.3, 0.02), (2.7, 0.03), (2.7, 0.05))),
         (2.55, 0.07),
     ],
 )
@@ -218,7 +219,8 @@ def test_the_phase_arms(bench, tmp_path):
     assert [batch.rows["code"][0] for batch in Arming(vehicle, tmp_path).started(Device(), 0)] == [b"drive_not_rearmed"]
 
 
-@pytest.mark.parametrize("seed", [2001, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (2002, 2003))])
+@pytest.mark.campaign  # of each kind: above
+@pytest.mark.parametrize("seed", [2001, 2002, 2003])
 def test_random_faults(seed):
     outcome = fly(seed)
     assert outcome.is_safe

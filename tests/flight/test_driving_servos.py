@@ -117,7 +117,7 @@ def test_nothing_is_written_unless_armed(bench, said):
     [
         (Fault("trip", "elbow", MIDWAY_S), "elbow reports a hardware error"),
         pytest.param(Fault("silent", "elbow", MIDWAY_S, 2.0), "elbow has not answered for", marks=pytest.mark.campaign),
-        (Fault("silent", "shoulder", MIDWAY_S, 2.0), "no answer for"),
+        pytest.param(Fault("silent", "shoulder", MIDWAY_S, 2.0), "no answer for", marks=pytest.mark.campaign),  # below
         pytest.param(Fault("off", "elbow", MIDWAY_S, 2.0), "elbow has not answered for", marks=pytest.mark.campaign),
         (Fault("reset", "elbow", MIDWAY_S), "elbow has not answered for"),
         pytest.param(Fault("unplug", LINE, MIDWAY_S, 2.0), "no answer for", marks=pytest.mark.campaign),
@@ -144,12 +144,12 @@ def test_a_line_that_is_away_for_long_leaves_servos_that_hold(bench):
     flown = bench(faults=[Fault("unplug", LINE, MIDWAY_S, 6.0)]).run(MIDWAY_S + 0.4)
     assert flown.is_at_rest()
     assert [flown.register(name, 98, 1) for name in ("shoulder", "elbow")] == [255, 255]
-    flown.run(8.0)
+    flown.run(6.5)
     assert flown.codes[-2:] == ["drive_stopped", "drive_unheard"]
     assert torques(flown) == {1}
     assert flown.is_at_rest()
     rows = flown.kept.of("elbow")
-    assert 1e-9 * (rows["host_ns"][-1] - START_NS) > 9.0, "it is read again"
+    assert 1e-9 * (rows["host_ns"][-1] - START_NS) > 7.7, "it is read again"
     flown.stop()
     again = Kept()
     flown.kept = again
@@ -189,7 +189,7 @@ def test_a_quick_stop_is_a_ramp(bench):
 
 def test_way_points_of_a_profile(bench):
     time_s, q = swing(rows=9)
-    flown = bench(drive='mode = "profile"\nacceleration_rad_s2 = 5', csv=csv_of(time_s, q)).run(6.0)
+    flown = bench(drive='mode = "profile"\nacceleration_rad_s2 = 5', csv=csv_of(time_s, q)).run(4.5)
     assert flown.codes == PLAYED
     assert flown.register("shoulder", 108) == 13
     assert flown.axis("shoulder").highest_rad == pytest.approx(0.5, abs=0.02)
@@ -307,9 +307,9 @@ def test_a_servo_is_let_go_when_it_stands(bench):
 
 
 def test_a_torque_that_another_master_takes_away_stops_the_arm(bench):
-    flown = bench().run(3.5)
+    flown = bench().run(MIDWAY_S)
     flown.rig.drives["elbow"].memory[64] = 0
-    flown.run(2.5)
+    flown.run(2.0)
     assert "elbow has lost its torque" in flown.text("drive_stopped")
 
 

@@ -86,7 +86,7 @@ def test_the_kalman_smoother_finds_and_weighs_the_same_in_flight(catch: Result, 
     assert sum(row["covered"] for row in told) >= 8
 
 
-@pytest.mark.campaign  # of free flyers with torques and with poses: test_joint_torques, test_pose_tracker
+@pytest.mark.campaign  # of a free-flyer with torques: test_joint_torques
 def test_replay_gives_the_onboard_estimates_to_the_bit(catch: Result) -> None:
     found = replay(catch.path)
     assert found.identical, found.summary

@@ -8,17 +8,16 @@ from bench.faults import MISSIONS, draw, flown, vocabulary
 from hil_sim.faults import Fault, FaultKind, parse
 
 pytestmark = pytest.mark.timeout(120)
-FOUND = [  # seed, mission, what broke; all of these have lost something without a gap once, as those below
-    (212, "rocksat_serial", "intermittent:imu_base:0:0.814:0.2206"),  # before the first row
+FOUND = [  # seed, mission, what broke; all have lost something without a gap once; 5.5 s: the first sweep
     (612, "rocksat_serial", "byte_garble:joint_port:1.5537:4:0.1231"),  # at a jump of the device's clock
-    (64103, "rocksat", "flood:can_0:1.5247:1.7589:128"),  # frames of SYNC's identifier that are no SYNCs
     (64844, "rocksat", "silent:arm_phase:1.5683:"),  # until the end: several changes that nobody heard
     (66064, "rocksat_mixed", "frame_drop:can_0:0::387"),  # what a node sends as it is started
+]
+MORE = [  # lost frames, bytes and changes of other devices: above
+    (212, "rocksat_serial", "intermittent:imu_base:0:0.814:0.2206"),  # before the first row
+    (64103, "rocksat", "flood:can_0:1.5247:1.7589:128"),  # frames of SYNC's identifier that are no SYNCs
     (7045, "rocksat", "garbage:sync_box:2.9108:2.9413:306.2"),  # a SYNC that cannot be read, before one that jumps
     (5, "rocksat", "unplug:can_0:5:7"),
-]
-EARLY = FOUND[:-1]  # flown for the first sweep alone, 5.5 s
-MORE = [
     (647, "rocksat_mixed", "bus_off:can_0:6.0439:6.287"),  # an answer that was asked for again; a cable: unplug, above
     (64270, "rocksat_serial", "byte_loss:imu_port:6.6072::0.02221"),  # bytes that are lost: as those that are garbled
     (64866, "dymaflex", "bus_off:can_0:0:0.0246"),  # before the first SYNC
@@ -43,7 +42,7 @@ def table(fault: Fault) -> dict[str, Any]:
     ("seed", "mission", "faults"), [*FOUND, *(pytest.param(*one, marks=pytest.mark.campaign) for one in MORE)]
 )
 def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, faults: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if (seed, mission, faults) in EARLY:
+    if (seed, mission, faults) in FOUND:
         sequence = MISSIONS[mission]["sequence"]
         monkeypatch.setitem(MISSIONS, mission, {"sequence": [*sequence[:2], sequence[-1]]})
     told = flown(seed, mission, [table(parse(fault)) for fault in faults.split()], without_estimator=True)
@@ -51,6 +50,7 @@ def test_every_lost_sample_is_in_a_gap(seed: int, mission: str, faults: str, mon
     assert any(missing for _, _, missing, _ in told["accounts"].values())
 
 
+@pytest.mark.campaign  # with the estimator: test_scenarios
 def test_a_healthy_flight_has_no_gap_but_for_questions_without_an_answer() -> None:
     told = flown(5, "rocksat_serial", [], without_estimator=True)
     assert {name for name, (_, _, missing, _) in told["accounts"].items() if missing} <= {"load_cell"}

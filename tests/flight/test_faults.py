@@ -52,6 +52,7 @@ def test_a_missing_load_cell_is_named_and_nothing_is_made_up(tmp_path: Path) -> 
     assert not result.table["identified"]
 
 
+@pytest.mark.campaign  # times without a pulse: check/test_preflight; answers: test_ur_arm
 def test_without_pulses_the_mission_is_still_identified(tmp_path: Path) -> None:
     """Arrival stamps are a worse clock, and the sweep of one joint forgives a few milliseconds."""
     result = fly_with(tmp_path / "log.mcap", {"kind": "pulse_drop", "device": "sync_line", "start_s": 0.0})

@@ -11,10 +11,9 @@ import pytest
 from onboard import cli
 from onboard.recording.reader import LogReader
 from onboard.recording.space import refusal
-from tests.flight.missions import SHORT, inline, sweep
+from tests.flight.missions import SHORTER, inline
 
 LIMIT = 300_000  # bytes of a file
-SHORTER = [SHORT[0] | {"duration_s": 2.0}, sweep(3, 0.5), SHORT[3] | {"duration_s": 0.5}, sweep(3, 0.5), SHORT[5]]
 
 
 @pytest.mark.usefixtures("own_rings")

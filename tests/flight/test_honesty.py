@@ -14,7 +14,7 @@ from hil_sim.scenario.load import load
 from onboard import config
 from onboard.estimation.gates import GateReason
 from onboard.ground.identify.identify import identify
-from tests.flight.missions import Result, fly
+from tests.flight.missions import BRIEF, Result, fly
 
 SEED = 5
 SHORT = [MISSION[0], MISSION[3] | {"strokes": 5}, *MISSION[4:6], *MISSION[8:]]  # 12 s: the fast sweeps
@@ -33,7 +33,7 @@ def standings(flown: Result) -> set[str]:
 
 
 def test_a_cell_that_is_stuck_gives_no_answer_and_says_so(tmp_path: Path) -> None:
-    flown = lied_to(tmp_path, "rocksat", fault("stuck", "load_cell"))
+    flown = lied_to(tmp_path, "rocksat", fault("stuck", "load_cell"), sequence=BRIEF)
     assert not any(mass["supported"] for mass in flown.table["masses"])
     assert any(said.startswith("load_cell: ") for said in flown.events("stuck"))
     gates = flown.log.read("row")["gate"]
@@ -71,6 +71,7 @@ def test_an_encoder_that_becomes_another_one_early_leaves_no_answer(tmp_path: Pa
     assert (gates[after] & int(GateReason.JUMPED)).all()
 
 
+@pytest.mark.campaign  # of rows: test_drawing
 def test_a_cell_at_half_its_scale_is_told_by_the_drawn_arm(tmp_path: Path) -> None:
     flown = lied_to(tmp_path, "rocksat", fault("wrong", "load_cell", -0.5, 0.0))
     assert standings(flown) == {"do not use"}
@@ -121,6 +122,7 @@ def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
 
 
+@pytest.mark.campaign  # with one instrument that lies: above; with drag: ground/identify/kinds/test_pushed
 def test_a_slice_of_the_campaign_holds_no_confident_nonsense() -> None:
     flown = flight(4002, {})
     assert flown.answers

@@ -21,7 +21,7 @@ def test_a_cell_on_an_hx711_is_weighed_with(tmp_path, rate):
     assert not rows["status"][-6 * rate :].any()
 
 
-@pytest.mark.campaign  # the driver: test_hx711; in flight: test_i2c_devices
+@pytest.mark.campaign  # the driver: test_hx711; in flight, on I2C: test_bmi088_flight
 def test_it_survives_unplugging_brown_out_and_its_chip_of_gpio_lines_going(tmp_path):
     faults = [
         *("--fault", "silent:load_cell:1.5:2.5", "--fault", "reset:load_cell:3", "--fault", "off:load_cell:3.8:4.3"),

@@ -49,10 +49,8 @@ def codes_of(log, source):
     return events["code"][events["source"] == source].tolist()
 
 
-@pytest.mark.parametrize(
-    ("rate", "faults"),
-    [pytest.param(80, [], marks=pytest.mark.campaign), (320, ["--fault", "saturated:load_cell:4:5:1"])],
-)
+@pytest.mark.campaign  # with an NAU7802: test_as5048_flight; what is saturated: drivers/test_nau7802
+@pytest.mark.parametrize(("rate", "faults"), [(80, []), (320, ["--fault", "saturated:load_cell:4:5:1"])])
 def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(tmp_path, rate, faults):
     change = ("sample_rate_hz = 320 ", f"sample_rate_hz = {rate} ")
     result, log, _ = rehearsed(tmp_path, CELL, *faults, change=change)
@@ -69,6 +67,7 @@ def test_a_cell_on_an_nau7802_is_weighed_with_but_for_what_is_beyond_its_range(t
         assert 0.99 < end / (1 << 23) < 1.0
 
 
+@pytest.mark.campaign  # on I2C: test_bmi088_flight; the driver: test_nau7802, test_chip_laws
 def test_it_survives_unplugging_brown_out_and_garbage(tmp_path):
     faults = [
         *("--fault", "silent:load_cell:1.5:2.3", "--fault", "reset:load_cell:3", "--fault", "nack:load_cell:3.8:4"),

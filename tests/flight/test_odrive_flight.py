@@ -14,7 +14,7 @@ from tests.flight.test_rehearsal import answers, honest
 ARM = ["--base", "fixed", "--joints", "2", "--encoder", "odrive"]
 
 
-@pytest.mark.campaign  # by currents: test_ur_arm, test_servo_arm; its times: below
+@pytest.mark.campaign  # by currents: test_servo_arm; its times: below
 def test_a_payload_is_weighed_by_its_torques(tmp_path):
     result, log, _ = rehearsed(tmp_path, ARM)
     honest(answers(result))

@@ -192,6 +192,7 @@ def answers(flown: Result, vehicle: config.Vehicle, lengths: float) -> tuple[lis
     return off, widths[-10:]
 
 
+@pytest.mark.campaign  # of ticks: prediction/test_pose, test_recursive_tracker; its times: test_devices
 def test_it_is_fused_and_replays_to_the_bit(flown: Result, vehicle: config.Vehicle) -> None:
     assert flown.table["accounted"], flown.table["channels"]
     assert not flown.events("left_out")
@@ -199,6 +200,7 @@ def test_it_is_fused_and_replays_to_the_bit(flown: Result, vehicle: config.Vehic
     assert Estimator(vehicle).online.ekf.predictor.moving.size == 10
 
 
+@pytest.mark.campaign  # of ticks: prediction/test_pose, test_recursive_tracker
 @pytest.mark.parametrize("lengths", [1.0, LENGTHS])
 def test_no_answer_is_good_and_wrong_while_the_trackers_lengths_are_off(
     flown: Result, vehicle: config.Vehicle, lengths: float

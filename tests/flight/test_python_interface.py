@@ -38,11 +38,11 @@ def test_a_flight_in_si_and_in_frames_by_sample_time(short_mission: Result) -> N
 
 @pytest.mark.timeout(1200)  # a hang, not a speed: it replays the flight and identifies from it
 def test_the_notebook_runs_in_jupyters_kernel_and_shows_what_it_shipped_with(
-    brief_mission: Result, tmp_path: Path
+    short_mission: Result, tmp_path: Path
 ) -> None:
     """All its cells, beside a log with the name that README's first command writes; outputs are of the kind shipped."""
     (tmp_path / "flights").mkdir()
-    (tmp_path / "flights" / "rocksat-001.mcap").symlink_to(brief_mission.path)
+    (tmp_path / "flights" / "rocksat-001.mcap").symlink_to(short_mission.path)
     shutil.copy(NOTEBOOK, tmp_path)
     command = [sys.executable, "-c", "from nbclient.cli import main; main()", "--inplace", NOTEBOOK.name]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

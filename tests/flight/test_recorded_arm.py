@@ -62,7 +62,7 @@ def delayed(root: Path, delay_ms: float) -> Path:
     (root / "arm.urdf").write_text(to_urdf(links).replace('effort="1"', 'effort="60"'))
     made = ["init", str(root / "v"), "--base", "fixed", "--urdf", str(root / "arm.urdf"), "--encoder", "recorded"]
     assert cli.main(made) == cli.OK
-    t, q, torque = recordings["loaded"]
+    t, q, torque = (of[:600] for of in recordings["loaded"])
     late = np.column_stack([np.interp(t, t + 1e-3 * delay_ms, of) for of in torque.T])
     write_csv(root / "late.csv", (t, q, late), 1.0, np.ones(3))
     for path in (root / "v" / "import.toml", root / "v" / "vehicle.toml"):

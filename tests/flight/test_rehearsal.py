@@ -52,10 +52,12 @@ action = "swing"
 duration_s = 10.0
 band_Hz = [0.2, 1.0]
 """
+SHORTER = SWING.replace("duration_s = 10.0", "duration_s = 6.0")
 
 
+@pytest.mark.campaign  # such a one: test_joint_torques; its rehearsal: the body below; the forecast: test_foresee
 def test_a_free_flyer_of_one_s_own(tmp_path, capsys):
-    result, code = rehearsed(tmp_path, ["--base", "free", "--joints", "3"], PAYLOAD + SWING, seed=2)
+    result, code = rehearsed(tmp_path, ["--base", "free", "--joints", "3"], PAYLOAD + SHORTER, seed=2)
     rows = answers(result)
     assert code == 0
     assert result["accounted"]
@@ -137,9 +139,8 @@ def test_a_six_joint_arm_on_a_bench_by_the_currents_of_its_motors(tmp_path):
 def test_a_spinning_body_with_a_mass_on_a_boom(tmp_path):
     """One IMU and a telescoping mass: the mass of a payload of 0.13 kg on 8.5 kg is determined, the rest is weak."""
     spin = "[release]\nspin_rad_s = [0.1, -0.05, 1.2]\n"
-    shorter = SWING.replace("duration_s = 10.0", "duration_s = 6.0")
     result, code = rehearsed(
-        tmp_path, ["--base", "free", "--urdf", str(OWN / "spinner.urdf")], spin + shorter, seed=61004
+        tmp_path, ["--base", "free", "--urdf", str(OWN / "spinner.urdf")], spin + SHORTER, seed=61004
     )
     rows = answers(result)
     assert code == 0

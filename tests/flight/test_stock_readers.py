@@ -28,7 +28,7 @@ def test_every_channel_of_a_flight_decodes_to_the_same_numbers(short_mission: Re
             assert message.log_time == decoded.host_ns
             for field, values in seen[channel.topic].items():
                 values.append(getattr(decoded, field))
-    assert sum(len(next(iter(fields.values()))) for fields in seen.values()) > 25_000
+    assert sum(len(next(iter(fields.values()))) for fields in seen.values()) > 15_000
     for name, dtype in channels.items():
         rows = log.read(name)
         for field, values in seen[name].items():
@@ -75,12 +75,12 @@ def test_standard_messages_say_what_the_flight_measured(short_mission: Result, t
     measured = np.array([one.angular_velocity.z for one in said["/imu/imu_base"]])
     assert np.array_equal(measured, imu["gyro_imu_base_z"][imu["status"] == 0])
     angles = [dict(zip(one.name, one.position, strict=True)) for one in said["/joint_states"]]
-    assert len(angles) == len(said["/tf"]) > 600
+    assert len(angles) == len(said["/tf"]) > 300
     even = log.resample(50.0, ["joint_1"]).columns["joint_1.value"]
     assert np.array_equal([one.get("joint_1", np.nan) for one in angles], even, equal_nan=True)
     [description] = said["/robot_description"]
     model = pinocchio.buildModelFromXML(description.data)
-    for number in range(100, 600, 100):
+    for number in range(50, 300, 50):
         frames = {}
         for one in said["/tf"][number].transforms:
             q, p = one.transform.rotation, one.transform.translation

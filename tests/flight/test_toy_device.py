@@ -57,7 +57,7 @@ phase = 1
 action = "strokes"
 amplitude = { joint_1 = 0.2007 }
 stroke_s = 0.6
-strokes = 10
+strokes = 7
 pause_s = 0.05
 transfer_s = 0.5
 """

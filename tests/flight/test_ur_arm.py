@@ -15,7 +15,8 @@ ARM = ["--base", "fixed", "--joints", "2", "--encoder", "ur_joint", "--no-pulse"
 CHANNELS = tuple(f"joint_{n}{part}" for n in (1, 2) for part in ("", "_torque"))
 
 
-@pytest.mark.parametrize("rate", [125, pytest.param(500, marks=pytest.mark.campaign)])
+@pytest.mark.campaign  # by currents of servos: test_servo_arm; answers of a UR arm: below
+@pytest.mark.parametrize("rate", [125, 500])
 def test_an_arm_is_weighed_with_by_its_currents(tmp_path, rate):
     change = ("rate_hz = 125 ", f"rate_hz = {rate} ")
     result, log, _ = rehearsed(tmp_path, ARM, rest=3.0, swing=6.0, seed=6, change=change)

@@ -4,10 +4,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.conftest import with_library
+from tests.flight.missions import CATCH
 
 _HEAVY = [
     *(f"scipy.{part}" for part in ("signal", "stats", "optimize", "interpolate", "spatial", "ndimage", "integrate")),
@@ -32,7 +34,7 @@ from onboard.cli.common import show_foreseen
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
 vehicle = config.with_mission(config.named(sys.argv[1]), None, None)
-world, _ = open_in_process(scenario_of(sys.argv[1], None, None), 3, [])
+world, _ = open_in_process(scenario_of(sys.argv[1], json.loads(sys.argv[2])), 3, [])
 said = show_foreseen(vehicle, world.planned(1.0 / vehicle.file.estimation.row_rate_hz), "this motion")
 print(json.dumps([len(said), sorted(sys.modules)]))
 """
@@ -44,7 +46,9 @@ print(json.dumps([len(said), sorted(sys.modules)]))
         pytest.param("hil dymaflex --faults", 0, _HEAVY, 1213, 10, marks=pytest.mark.campaign),
         pytest.param("hil rocksat --faults", 0, _HEAVY, 1213, 10, marks=pytest.mark.campaign),
         ("hil rocksat_serial --faults", 0, [*_HEAVY, "can"], 1123, 10),
-        ("replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 883, 0),
+        pytest.param(  # as identify, which loads more
+            "replay missing.mcap", 2, [*_HEAVY, *_SIMULATOR], 883, 0, marks=pytest.mark.campaign
+        ),
         ("identify missing.mcap --vehicle dymaflex", 2, [*_HEAVY, *_SIMULATOR], 1000, 1),
         ("fly missing.toml", 2, [*_HEAVY, *_SIMULATOR, "pinocchio", "scipy"], 513, 1),
     ],
@@ -67,13 +71,18 @@ def test_modules_of_a_start(
     assert len(made) == validators, made
 
 
-@pytest.mark.parametrize("mission", [pytest.param("rocksat", marks=pytest.mark.campaign), "dymaflex"])
-def test_modules_of_foresight(mission: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("mission", "changes"), [pytest.param("rocksat", {}, marks=pytest.mark.campaign), ("dymaflex", CATCH)]
+)
+def test_modules_of_foresight(
+    mission: str, changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The table before a flight loads no part of SciPy that the flight does without."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(with_library(tmp_path)))
     done = subprocess.run(
-        [sys.executable, "-c", _FORESIGHT, mission], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
+        [sys.executable, "-c", _FORESIGHT, mission, json.dumps(changes)],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     said, modules = json.loads(done.stdout.splitlines()[-1])
     assert said >= 10
     assert "onboard.ground.before.foresee.foresee" in modules
