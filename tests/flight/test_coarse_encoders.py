@@ -6,8 +6,6 @@ Behind the smoothing that ``heft init`` writes for them; behind one of 100 ms th
 import json
 from pathlib import Path
 
-import pytest
-
 from onboard import cli
 
 NEW = ("--base", "free", "--joints", "3", "--imu", "icm20948", "--encoder", "as5600")
@@ -25,7 +23,6 @@ band_Hz = [0.2, 1.0]
 """
 
 
-@pytest.mark.campaign  # the smoothing that init writes for a magnet, of 14 bits, on a fixed base: test_as5048_flight
 def test_a_payload_is_as_heavy_as_it_is_said_to_be(tmp_path: Path) -> None:
     assert cli.main(["init", str(tmp_path / "it"), *NEW]) == cli.OK
     vehicle, said = tmp_path / "it" / "vehicle.toml", tmp_path / "said.json"

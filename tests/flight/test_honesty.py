@@ -122,7 +122,6 @@ def test_of_two_cells_the_one_that_lies_is_named_and_the_other_answers(
     assert all(mass["supported"] and mass["covered"] for mass in flown.table["masses"])
 
 
-@pytest.mark.campaign  # with one instrument that lies: above; with drag: ground/identify/kinds/test_pushed
 def test_a_slice_of_the_campaign_holds_no_confident_nonsense() -> None:
     flown = flight(4002, {})
     assert flown.answers

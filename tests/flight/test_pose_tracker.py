@@ -192,7 +192,6 @@ def answers(flown: Result, vehicle: config.Vehicle, lengths: float) -> tuple[lis
     return off, widths[-10:]
 
 
-@pytest.mark.campaign  # of ticks: prediction/test_pose, test_recursive_tracker; its times: test_devices
 def test_it_is_fused_and_replays_to_the_bit(flown: Result, vehicle: config.Vehicle) -> None:
     assert flown.table["accounted"], flown.table["channels"]
     assert not flown.events("left_out")

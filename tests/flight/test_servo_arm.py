@@ -54,7 +54,6 @@ def test_an_arm_that_hangs_in_gravity_tells_what_its_drives_and_payload_are(tmp_
     assert last["Fc_joint_1"]["sigma"] < 0.2 * wanted["Fc_joint_1"]
 
 
-@pytest.mark.campaign  # of a worker: test_driving_servos; in flight: below
 def test_a_line_that_is_unplugged_ends_the_motion_and_is_read_again(tmp_path: Path) -> None:
     vehicle = written(tmp_path, 4.0)
     mission, log = world(vehicle, None, 8, 5.0, ["unplug:tty_servos:2:3.5"]), tmp_path / "flight.mcap"
