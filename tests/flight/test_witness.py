@@ -207,6 +207,8 @@ def test_the_identified_payload_predicts_the_gyro_in_the_report(gathered: Flight
     swing = np.ptp(found.measured, axis=0)
     assert (swing > np.radians(5.0)).all()
     assert (found.rms < 0.03 * swing.max()).all()
+    stated = config.load(config.packaged("dymaflex")).file.estimation.imu_prior.gyro_bias_rad_s
+    assert (np.abs(found.offset) < 3.0 * stated).all()  # 0.1 rad/s where it may be anything
     with theme.figures():
         assert "gyro less prediction" in base_rate_section(gathered, Gallery())
 

@@ -62,7 +62,13 @@ def _attitudes(rate: FloatArray, steps_s: FloatArray) -> Rotation:
 
 
 def fit(
-    form: MomentumForm, measured: FloatArray, time_s: FloatArray, period_s: float, *, level_bed: bool = False
+    form: MomentumForm,
+    measured: FloatArray,
+    time_s: FloatArray,
+    period_s: float,
+    *,
+    level_bed: bool = False,
+    offset_rad_s: float = np.inf,
 ) -> BaseRate:
     """Fit momentum and gyro offset to the first third of an interval and predict the rest.
 
@@ -72,6 +78,7 @@ def fit(
         time_s: of the ticks, (n,).
         period_s: between them.
         level_bed: the base turns about its z only.
+        offset_rad_s: 1 sigma of the gyro's offset as stated: within seconds a momentum may look like one.
     """
     if level_bed:
         form = form.on_a_level_bed()
@@ -82,9 +89,20 @@ def fit(
         rate, by_momentum = rate_of_momentum(*form, momentum, period_s)
         gap = (measured - rate - offset)[:part, axes]
         A = np.concatenate([by_momentum[:, axes][:, :, axes], np.broadcast_to(np.eye(k), (n, k, k))], axis=2)
-        step = np.linalg.lstsq(A[:part, :, : both * k].reshape(-1, both * k), gap.ravel())[0]
+        stated = np.eye(k, 2 * k, k) * np.sqrt(_alike(gap) * np.mean(gap**2)) / offset_rad_s
+        rows = np.concatenate([A[:part].reshape(-1, 2 * k), stated])[:, : both * k]
+        step = np.linalg.lstsq(rows, np.concatenate([gap.ravel(), -stated[:, k:] @ offset[axes]]))[0]
         momentum[axes] += step[:k]
         if both == 2:
             offset[axes] += step[k:]
     predicted = rate_of_momentum(*form, momentum, period_s)[0] + offset
     return BaseRate(time_s, measured, predicted, fitted, momentum, offset)
+
+
+def _alike(gap: FloatArray) -> float:
+    """How many samples of residuals, (n, k), say the same: by their runs of one sign, half as many as samples of noise.
+
+    Wald and Wolfowitz, On a test whether two samples are from the same population, 1940.
+    """
+    runs = gap.shape[1] + np.count_nonzero(np.diff(np.signbit(gap), axis=0))
+    return float(0.5 * gap.size / runs)

@@ -179,8 +179,9 @@ def predict(
         except SignalError as error:
             refused[method] = str(error)
             continue
+        stated = vehicle.file.estimation.imu_prior.gyro_bias_rad_s or np.inf
         on_bed = run.model.spec.base.in_gravity
-        found[method] = fit(form, run.rate, run.time_s, run.period_s, level_bed=on_bed)
+        found[method] = fit(form, run.rate, run.time_s, run.period_s, level_bed=on_bed, offset_rad_s=stated)
     if not found:
         raise SignalError("; ".join(refused.values()))
     return Predicted(log.path, vehicle.file.vehicle.name, whose, run.held, found, refused)

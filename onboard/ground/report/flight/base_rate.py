@@ -49,7 +49,8 @@ def base_rate(flight: FlightData) -> BaseRate | None:
     R, _ = model.pose_in_base(roles.imu.frame)
     form = momentum_form(model, chi, Method.EXIDDM, rows["joint_rad"], rows["joint_rad_s"])
     measured: FloatArray = rows["measured"][:, :3].astype(np.float64) @ R.T
-    return fit(form, measured, flight.seconds(rows["vehicle_ns"]), period_s)
+    offset_rad_s = vehicle.file.estimation.imu_prior.gyro_bias_rad_s or np.inf
+    return fit(form, measured, flight.seconds(rows["vehicle_ns"]), period_s, offset_rad_s=offset_rad_s)
 
 
 def _unbroken(rows: Rows, start_ns: int, period_ns: int) -> Rows:
