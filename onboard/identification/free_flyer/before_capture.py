@@ -46,6 +46,10 @@ def margins_s(period_s: float) -> tuple[float, float]:
     return _ZERO_s + _EARLY_s + beside_s, _CONTACTS_s[-1] + beside_s
 
 
+class NoBodyError(SignalError):
+    """An estimate of a payload is of no body; one that is made later may be."""
+
+
 class Zeros(NamedTuple):
     """Of the base's IMU at the capture."""
 
@@ -92,7 +96,8 @@ def before_capture(
         touched_s: between which times it was touched first.
 
     Raises:
-        SignalError: ticks or readings missing, or a payload without a mass or inertia.
+        NoBodyError: a payload without a mass or inertia.
+        SignalError: ticks or readings missing.
     """
     begin_s, end_s = touched_s[0] - _EARLY_s, touched_s[1]
     ends = np.searchsorted(ticks.time_s, [end_s + lasts_s for lasts_s in _CONTACTS_s]).tolist()
@@ -106,7 +111,7 @@ def before_capture(
     ):
         raise SignalError("readings are missing about the capture")
     if not np.linalg.eigvalsh(_spatial(payload.chi)).min() > 0.0:
-        raise SignalError("the estimated payload has no mass or inertia that a body can have")
+        raise NoBodyError("the estimated payload has no mass or inertia that a body can have")
     rest = ticks.part(slice(max(0, first - round(_ZERO_s / predictor.period_s)), first))
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

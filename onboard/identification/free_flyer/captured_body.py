@@ -17,6 +17,7 @@ from onboard.identification.change import Change
 from onboard.identification.free_flyer.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
+    NoBodyError,
     Payload,
     Zeros,
     before_capture,
@@ -150,6 +151,8 @@ class CapturedBody:
             self._told = before_capture(ekf.predictor, state, touch.ticks, self._zeros[0], payload, between_s)
         except SignalError as error:
             self._told, self._failure = None, str(error)
+            if isinstance(error, NoBodyError):
+                self._next = 0.0
 
     def _before(self, at_s: float) -> tuple[FloatArray, Zeros]:
         """The state with nothing held, without biases, and the zeros of the base's IMU at the capture."""

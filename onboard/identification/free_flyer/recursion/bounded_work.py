@@ -20,12 +20,12 @@ from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.regressor.signals import EncoderJump
 
-WORK = 32  # ticks predicted (90 us each, a piece at a time) per tick taken in
+WORK = 40  # ticks predicted (90 to 150 us each, a piece at a time) per tick taken in: two thirds of a core at most
 _FLEXIBLE = 7  # cost of a tick with flexible joints over that without, measured with five
 _FLEXIBLE_WORK = 80  # as WORK, of a vehicle that has some: three quarters of a core
 LAST_WORK_s = 6.0  # the same when a flight ends; an estimator that has not ended 10 s after it was asked to is killed
 _TICK_s, _JOINT_s = 11e-6, 21e-6  # of a tick's prediction, and of each joint of it: measured with one and with five
-STEP_WORK = 50  # cost of a filter step without flexible joints, in predicted ticks
+STEP_WORK = 80  # cost of a filter step without flexible joints, in predicted ticks: measured with five joints
 
 
 def last_work(joints: int) -> int:
