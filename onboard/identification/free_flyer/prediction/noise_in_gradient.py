@@ -92,22 +92,11 @@ class NoiseInPieces:
         self._done, self.over = here.stop, here.stop == len(self._whitening)
         return 2 * len(whitening)
 
-
-def noise_added(
-    predictor: ImuPredictor,
-    ticks: Ticks,
-    lines: LineNoise,
-    use: BoolArray,
-    state: FloatArray,
-    tick: int = 0,
-    noise: FloatArray | None = None,
-    at: tuple[FloatArray, TickPrediction] | None = None,
-) -> NoiseAdded:
-    """All of it at once: see :class:`NoiseInPieces`."""
-    pieces = NoiseInPieces(predictor, ticks, lines, use, state, tick, noise, at)
-    while not pieces.over:
-        pieces.advance()
-    return pieces.added
+    def whole(self) -> NoiseAdded:
+        """All of it at once."""
+        while not self.over:
+            self.advance()
+        return self.added
 
 
 def is_noisy(noise: FloatArray, sigma: FloatArray, use: BoolArray) -> bool:

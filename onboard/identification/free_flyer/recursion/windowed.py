@@ -16,7 +16,7 @@ from onboard.identification.free_flyer.misfit import InnovationMisfit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection, correction_of
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise
-from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
+from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
 from onboard.identification.free_flyer.recursion.bounded_work import BoundedWork
 from onboard.identification.free_flyer.recursion.claims import Claim, at_first
@@ -129,7 +129,7 @@ class Windowed(BoundedWork):
         """Take in what noise of the joints adds in a batch, of lines in use, (b, m), predicted at a state; that."""
         if self.state is not None and ticks.sample_sigma.any():
             first = round(float(ticks.time_s[0]) / self.predictor.period_s)
-            added = noise_added(self.predictor, ticks, lines, use, self.state, first, noise, at=at)
+            added = NoiseInPieces(self.predictor, ticks, lines, use, self.state, first, noise, at).whole()
             self.noise_added = self.noise_added.plus(added.moved(-self.predictor.lasting * self.state))
             return added
         return NoiseAdded.none(len(self.predictor.names))

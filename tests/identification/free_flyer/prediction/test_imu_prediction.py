@@ -16,7 +16,7 @@ from onboard.identification.free_flyer.prediction.further import CellPrior, Dist
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise
-from onboard.identification.free_flyer.prediction.noise_in_gradient import noise_added
+from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF
 from tests.identification.free_flyer.recorded_flights import PRIOR, online, ticks_of
@@ -56,7 +56,7 @@ def test_what_is_added_to_a_gradient_is_half_the_derivative_of_the_variance(pred
         return 0.5 * float((noise**2).sum())
 
     ticks = ticks._replace(sample_sigma=ticks.sample_sigma * [[0.0], [1.0]])  # products of rates are neglected
-    added = noise_added(predictor, ticks, OWN, USE, state).gradient
+    added = NoiseInPieces(predictor, ticks, OWN, USE, state).whole().gradient
     bodies = [k for k, name in enumerate(predictor.names) if name.endswith("_payload") or "inertial" in name]
     size = np.where(np.isfinite(predictor.sigma), predictor.sigma, 0.05)[bodies]
     steps = 1e-4 * np.eye(len(state))[bodies]
@@ -82,7 +82,7 @@ def test_what_is_added_to_a_gradient_is_what_noisy_encoders_add(held):
     sample_sigma = np.repeat(np.sqrt(np.maximum(power, 0.0)).T[:, :, None], 5, axis=2)
     cyclic = once_a_turn(*(one[:, 1] for one in motion))
     noisy = ticks._replace(cyclic=cyclic, sample_sigma=sample_sigma), LineNoise.alone(SIGMA[:, :6]), USE[:, :6], state
-    added = noise_added(predictor, *noisy).gradient
+    added = NoiseInPieces(predictor, *noisy).whole().gradient
     true, drawn = predictor.predict(*motion, state, cyclic).values, np.zeros(len(state))
     for _ in range(draws := 60):
         white = there[:, None] * rng.standard_normal((n + 80, 5))
@@ -103,7 +103,7 @@ def test_noise_of_less_than_a_thousandth_of_every_line_is_left_out(predictor, ti
     share = ((predictor.joint_noise(ticks.q, ticks.sample_sigma, state)[1:-1] / SIGMA) ** 2).max()
     for part, counts in ((0.9e-3, False), (1.5e-3, True)):
         quiet = ticks._replace(sample_sigma=ticks.sample_sigma * np.sqrt(part / share))
-        added = noise_added(predictor, quiet, OWN, USE, state)
+        added = NoiseInPieces(predictor, quiet, OWN, USE, state).whole()
         assert added.gradient.any() == added.information.any() == counts
 
 

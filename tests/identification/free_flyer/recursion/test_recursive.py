@@ -1,6 +1,8 @@
 """The payload tick by tick, with MuJoCo's truth: as good as the whole flight at once, and no surer than it may be."""
 
 import pickle
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -259,7 +261,7 @@ def test_what_noise_has_added_is_that_at_the_estimate_as_it_is_now(held, monkeyp
     batches = [NoiseAdded(rng.normal(size=p), A @ A.T, 3.0, 10) for A in rng.normal(size=(3, p, 2))]
     states, last = rng.normal(size=(3, p)), rng.normal(size=p)
     left = iter(batches)
-    monkeypatch.setattr(windowed, "noise_added", lambda *_, **__: next(left))
+    monkeypatch.setattr(windowed, "NoiseInPieces", lambda *_: SimpleNamespace(whole=partial(next, left)))
     ticks = ticks._replace(sample_sigma=np.ones_like(ticks.sample_sigma))
     for one, ekf.state in zip(batches, states, strict=True):
         assert ekf._noise_of(ticks, *[None] * 4) is one
