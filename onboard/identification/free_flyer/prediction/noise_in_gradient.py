@@ -79,7 +79,7 @@ class NoiseInPieces:
         self._whitening = lines.whitening(use & ~predictor.of_poses) if not self.over else _NONE
 
     def advance(self) -> int:
-        """Predict a piece, with errors of the joints and without; how many ticks were predicted."""
+        """Predict a piece, with errors of the joints and, if that is not given, without; how many ticks that were."""
         here = slice(self._done, min(self._done + PIECE, len(self._whitening)))
         own, (about, right) = self._ticks.part(slice(here.start, here.stop + 2)), self._at or (self._state, None)
         whitening = self._whitening[here]
@@ -90,7 +90,7 @@ class NoiseInPieces:
         if len(self.by_tick):
             self.by_tick[here] = np.einsum("bm,bmp->bp", by_line.effect, by_line.slopes)
         self._done, self.over = here.stop, here.stop == len(self._whitening)
-        return 2 * len(whitening)
+        return len(whitening) * (2 if right is None else 1)
 
     def whole(self) -> NoiseAdded:
         """All of it at once."""

@@ -102,11 +102,9 @@ class Wrist:
             rows["value_raw"] = np.rint(values / 1e-5) + signal.zero_count
         return rows
 
-    def poses(self, count, before=0):
-        """From pose to pose by hand, until it is done; after each of the poses ``before`` nothing is weighed yet."""
-        weigh = self.live._weigh
-        for taken in range(count):
-            self.live._weigh = weigh if taken >= before else lambda: None
+    def poses(self, count):
+        """From pose to pose by hand, until it is done."""
+        for _ in range(count):
             self.q = self.rng.uniform(-2.5, 2.5, 5)
             self.pass_s(4.0)
         return self.live.answer
@@ -128,7 +126,7 @@ def test_it_ends_when_the_mass_is_known_to_one_percent(workshop):
 
 def test_an_ill_calibrated_sensor_ends_where_no_pose_would_tell_more(workshop):
     live, _ = session(workshop, scale=0.03)
-    Wrist(live, 5).poses(40, before=10)
+    Wrist(live, 5).poses(40)
     assert "how well the sensor is calibrated" in live.done
     assert 12 <= len(live.R) <= 40
 
@@ -169,7 +167,7 @@ def test_a_stuck_axis_is_named(workshop):
 
 def test_cells_of_the_other_sign_are_named(workshop):
     live, _ = session(workshop)
-    Wrist(live, 10, readings=lambda f, m: (-f, -m)).poses(9, before=8)
+    Wrist(live, 10, readings=lambda f, m: (-f, -m)).poses(9)
     judged = judge_live(live.answer, "wrist")
     assert judged.verdict.level == "do not use"
     assert "turn the sign of each `axis`" in judged.verdict.text
@@ -185,7 +183,7 @@ def test_one_axis_of_the_other_sign_is_named(workshop):
 def test_a_sensor_that_sits_turned_is_told_with_its_angle(workshop):
     about_z = turn([0.0, 0.0, np.deg2rad(30.0)]).T
     live, _ = session(workshop)
-    answer = Wrist(live, 11, readings=lambda f, m: (about_z @ f, about_z @ m)).poses(12, before=8)
+    answer = Wrist(live, 11, readings=lambda f, m: (about_z @ f, about_z @ m)).poses(12)
     assert answer.quantities[0].low <= MASS <= answer.quantities[0].high
     notes = " ".join(judge_live(answer, "wrist").notes)
     assert re.search(r"turned against wrist as it is drawn, by (29\.9|30\.0|30\.1) deg about its z", notes)
@@ -227,7 +225,7 @@ def test_a_wrist_with_an_accelerometer_needs_no_encoders(workshop, tmp_path):
         wrist_sensor(load_vehicle(str(file)))
     file.write_text(text + IMU_TABLE, encoding="utf-8")
     live, told = session(load_vehicle(str(file)))
-    answer = Wrist(live, 21).poses(20, before=5)
+    answer = Wrist(live, 21).poses(20)
     assert "accelerometer of hand" in told[0]
     assert answer.quantities[0].low <= MASS <= answer.quantities[0].high
     assert live.done.startswith("the mass is known to")
@@ -254,7 +252,7 @@ def test_a_cell_with_a_gain_gets_the_zero_that_it_reads(workshop, tmp_path):
     vehicle = load_vehicle(str(file))
     live, _ = session(vehicle)
     wrist = Wrist(live, 30, readings=lambda f, m: (f * [2.0, 1.0, 1.0], m))
-    answer = wrist.poses(12, before=8)
+    answer = wrist.poses(12)
     assert answer.quantities[0].low <= MASS <= answer.quantities[0].high
     written = {one.table[1]: one.value for one in tare.changes(vehicle, answer)}
     assert float(written["wrist_force_x"]) == pytest.approx(wrist.zero[0], abs=0.02)
