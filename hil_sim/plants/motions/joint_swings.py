@@ -4,10 +4,11 @@ Besides, strokes at constant speed or of minimum jerk, pushes, and segments that
 joint has a swing of its own size.
 """
 
+import csv
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -280,16 +281,16 @@ def _sweep(
 def _recorded(path: Path, joints: Sequence[DrawnJoint]) -> tuple[CubicSpline, float, float]:
     """Spline through a CSV's columns, and its first and last time."""
     try:
-        rows: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64)
-    except (OSError, ValueError) as error:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            names, *rows = (row for row in csv.reader(file) if row)
+            columns = dict(zip(map(str.strip, names), np.array(rows, dtype=np.float64).T, strict=True))
+    except (OSError, ValueError, csv.Error) as error:
         raise ScenarioError(f"motion.csv: {path} cannot be read: {error}; give rows of numbers below names") from error
-    names = rows.dtype.names or ()
     wanted = ["time_s", *(joint.name for joint in joints)]
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in wanted if name not in columns]
     if missing:
-        raise ScenarioError(f"motion.csv: {path} has no column {', '.join(missing)}; its columns: {', '.join(names)}")
-    time_s = np.atleast_1d(rows["time_s"])
-    q = np.column_stack([np.atleast_1d(rows[joint.name]) for joint in joints])
+        raise ScenarioError(f"motion.csv: {path} has no column {', '.join(missing)}; its columns: {', '.join(columns)}")
+    time_s, q = columns["time_s"], np.column_stack([columns[joint.name] for joint in joints])
     if len(time_s) < 4 or not (np.isfinite(time_s).all() and np.isfinite(q).all() and (np.diff(time_s) > 0.0).all()):
         raise ScenarioError(f"motion.csv: {path} needs four rows and more of numbers, time_s rising")
     for joint, column in zip(joints, q.T, strict=True):

@@ -170,9 +170,12 @@ def test_joints_stay_within_the_limits_of_the_urdf(tmp_path, seed):
     assert (q.max(axis=0) - q.min(axis=0)).min() > 0.02
 
 
-def test_motion_from_a_csv(tmp_path):
-    path = copied(tmp_path)
-    rows = ["time_s," + ",".join(f"joint_{n}" for n in range(1, 6))]
+@pytest.mark.parametrize("third", ["joint_3", "joint [3].é, q'"])
+def test_motion_from_a_csv(tmp_path, third):
+    path = copied(tmp_path, **{'joint = "joint_3"': f'joint = "{third}"', "\njoint_3 = {": f'\n"{third}" = {{'})
+    urdf = tmp_path / "dymaflex.urdf"
+    urdf.write_text(urdf.read_text().replace('"joint_3"', f'"{third}"'), encoding="utf-8")
+    rows = ["time_s," + ",".join(f"joint_{n}" for n in range(1, 6)).replace("joint_3", f'"{third}"')]
     rows += [f"{t / 10},{','.join(str(0.1 * n * (t / 10) ** 2 / 10) for n in range(1, 6))}" for t in range(20)]
     written(tmp_path, "\n".join(rows), "motion.csv")
     over = written(tmp_path, 'capture = false\n[motion]\ncsv = "motion.csv"\n' + SHORT.replace("0.2", "2.5"))
