@@ -60,7 +60,7 @@ def write(wanted: NewBed, directory: Path) -> list[Path]:
         drawn = drawn._replace(text=with_frame(drawn, wanted.imu_frame, drawn.root))
     chosen = [
         devices.imu(devices.RECORDED, wanted.imu_frame),
-        *(_wheel(number, name) for number, name in enumerate(drawn.joints, 1)),
+        *map(_wheel, devices.of_joints(drawn.joints), drawn.joints),
     ]
     phases = _PHASES if wanted.proof else ""
     text = "".join([_head(wanted), *(device.text for device in chosen), phases, _rest(wanted)])
@@ -83,10 +83,10 @@ base_link = {json.dumps(wanted.drawn.root)}
 """
 
 
-def _wheel(number: int, joint: str) -> NewDevice:
+def _wheel(device: str, joint: str) -> NewDevice:
     return NewDevice(
         f"""
-[device.{devices.device_of(number, joint)}]
+[device.{device}]
 kind = "recorded_rate"
 joint = {json.dumps(joint)}             # of the URDF
 period_ms = 5                  # yours

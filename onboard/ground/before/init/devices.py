@@ -3,6 +3,7 @@
 Values are those of data sheets, or of a small arm where only the builder knows: each of these says so.
 """
 
+import itertools
 import json
 import re
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ RECORDED = "recorded"  # by somebody else: an import brings it in
 CAN, GPIO = "can_0", "sync_line"
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")  # of a wrist sensor, each a device
 _NAME = re.compile(r"[A-Za-z]\w{0,23}", re.ASCII)  # room for what a channel adds to it
+_OTHERS = re.compile(rf"imu_base|imu_\d+|load_cell|can_sync|pulse|recording|phase|{'|'.join(COMPONENTS)}")  # no joint's
 URLS = {CAN: "can+socketcan://can0?bitrate=500000", GPIO: "gpio:///dev/gpiochip0?line=17"}
 
 
@@ -87,13 +89,13 @@ def imu(kind: str, frame: str, number: int = 1, *, by_rows: bool = False) -> New
     ``by_rows``: what it reads is taken as it is, so the file states what errors it may have.
     """
     if kind != RECORDED:
-        common = f'frame = "{frame}"           # link of the URDF whose axes are the chip\'s\n'
+        common = f"frame = {json.dumps(frame)}           # link of the URDF whose axes are the chip's\n"
         return _table("imu_base", kind, 1, common + _LEFT_OF_AXES * by_rows)
     return NewDevice(
         f"""
 [device.{"imu_base" if number == 1 else f"imu_{number}"}]
 kind = "recorded_imu"
-frame = "{frame}"           # link of the URDF whose axes are the sensor's
+frame = {json.dumps(frame)}           # link of the URDF whose axes are the sensor's
 period_ms = 5                  # yours
 accel_noise_m_s2 = 0.05        # of a sample: yours
 gyro_noise_rad_s = 2e-3
@@ -102,14 +104,19 @@ gyro_noise_rad_s = 2e-3
     )
 
 
-def device_of(number: int, joint: str) -> str:
-    """Name of the device that measures the ``number``-th joint: the joint's, where that can name a channel."""
-    return joint if _NAME.fullmatch(joint) else f"joint_{number}"
+def of_joints(joints: Sequence[str]) -> list[str]:
+    """Names of the devices that measure the joints: the joint's where that can name a channel, and of no other."""
+    own = [one if _NAME.fullmatch(one) and not _OTHERS.fullmatch(one) else "" for one in joints]
+    own = ["" if name.removesuffix("_torque") in {*own} - {name} else name for name in own]
+    free = (name for name in map("joint_{}".format, itertools.count(1)) if name not in own)
+    numbered = [next(free) for _ in joints]
+    return [name or numbered[place] for place, name in enumerate(own)]
 
 
 def joint(
     kind: str,
     number: int,
+    device: str,
     name: str,
     largest_N_m: float | None = None,
     *,
@@ -117,12 +124,11 @@ def joint(
     gain_N_m_A: float | None = None,
     driven: bool = False,
 ) -> NewDevice:
-    """The device that measures joint ``name``, the ``number``-th from 1.
+    """The ``device`` that measures joint ``name``, the ``number``-th from 1.
 
     ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are;
     ``gain_N_m_A``: what was recorded is the motor's current; ``driven``: it moves the joint, too.
     """
-    device = device_of(number, name)
     if kind == RECORDED:
         return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A), "")
     moves = getattr(_model(kind), "new_driven", "") if driven else ""
@@ -213,7 +219,7 @@ def _component(kind: str, number: int, frame: str) -> NewDevice:
     made = _table(COMPONENTS[number - 1], kind, number, f"component = {number}\n")
     axis = [float(place == (number - 1) % 3) for place in range(3)]
     measures, unit, capacity, noise = ("force", "N", 50.0, 0.1) if number < 4 else ("moment", "N m", 10.0, 0.005)
-    keys = f"""frame = "{frame}"            # yours: whose axes are the sensor's; it feels what lies beyond
+    keys = f"""frame = {json.dumps(frame)}            # yours: whose axes are the sensor's; it feels what lies beyond
 axis = {axis}
 measures = "{measures}"
 capacity_N = {capacity:<18}# {unit}: range of its data sheet, yours
@@ -224,7 +230,7 @@ noise_N = {noise:<21}# {unit}, of a sample at rest: yours
 
 
 def _felt(frame: str) -> str:
-    return f"""frame = "{frame}"            # the moment is about `axis` of this frame, of all that lies beyond it
+    return f"""frame = {json.dumps(frame)}            # the moment is about `axis` of it, of all that lies beyond it
 axis = [0.0, 0.0, 1.0]
 measures = "moment"            # or "force": along `axis`
 lever_m = 0.04                 # yours

@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -77,7 +78,7 @@ def read(path: Path, base: str, joints: Sequence[str] = (), *, recorded: bool = 
 
 def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: bool) -> DrawnUrdf:
     whole = urdf_reading.read(text, label)
-    moving = _outwards(whole)
+    moving = _outwards(whole, whole.root)
     if unknown := [name for name in joints if name not in moving]:
         raise config.ConfigError(f"{label} has no moving joint {unknown[0]!r}; it has {', '.join(moving) or 'none'}")
     notes = []
@@ -87,6 +88,13 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     measured = [name for name in moving if name in joints or not (joints or name in follows)]
     for name in moving:
         if name not in measured:
+            if follows.get(name) in measured and any(
+                one in measured for one in _outwards(whole, whole.joints[name].child)
+            ):
+                raise config.ConfigError(
+                    f"{label}: joint {name!r} follows {follows[name]!r} and carries joints that are measured, so its "
+                    "angle has to be known, too: take its <mimic> out (column of a recording: a multiple of the other)"
+                )
             text = _fixed(text, name)
             notes.append(
                 f"joint {name} is fixed at zero" + (f": it follows {follows[name]}" if name in follows else "")
@@ -123,20 +131,23 @@ def _called(drawing: urdf_reading.Drawing, root: str, words: Set[str]) -> list[s
 
 def with_frame(drawn: DrawnUrdf, name: str, parent: str, place: str = "0 0 0") -> str:
     """Its text with a massless link at a place in another."""
+    joint = f"{name}_mount"
+    while joint in drawn.text:
+        joint += "_"
     mount = f"""  <link name="{name}"/>
-  <joint name="{name}_mount" type="fixed">               <!-- added by heft init: put its place in -->
-    <parent link="{parent}"/>
+  <joint name="{joint}" type="fixed">               <!-- added by heft init: put its place in -->
+    <parent link={quoteattr(parent)}/>
     <child link="{name}"/>
     <origin xyz="{place}" rpy="0 0 0"/>
   </joint>
 """
-    at = drawn.text.rindex("</robot>")
+    at = [end.start() for end in re.finditer(r"</robot\s*>", _without_comments(drawn.text))][-1]
     return drawn.text[:at] + mount + drawn.text[at:]
 
 
-def _outwards(drawing: urdf_reading.Drawing) -> dict[str, ET.Element]:
-    """The joints that move, from the base outwards."""
-    moving, waiting = {}, [drawing.root]
+def _outwards(drawing: urdf_reading.Drawing, link: str) -> dict[str, ET.Element]:
+    """The joints that move beyond a link, outwards."""
+    moving, waiting = {}, [link]
     while waiting:
         for joint in drawing.below(waiting.pop()):
             waiting.append(joint.child)
@@ -173,10 +184,14 @@ def _without(error: DrawingError, measured: Sequence[str]) -> str:
 
 def _fixed(text: str, joint: str) -> str:
     """The URDF with one of its joints made fixed; all other text unchanged."""
-    without_comments = re.sub(r"<!--.*?-->", lambda found: " " * len(found[0]), text, flags=re.DOTALL)
-    for tag in re.finditer(rf"<joint\b[^>]*\bname\s*=\s*(['\"]){re.escape(joint)}\1[^>]*>", without_comments):
+    for tag in re.finditer(rf"<joint\b[^>]*\bname\s*=\s*(['\"]){re.escape(joint)}\1[^>]*>", _without_comments(text)):
         kind = re.search(r"\btype\s*=\s*['\"](\w+)['\"]", tag[0])  # a transmission's <joint> has none
         if kind is not None:
             begin, end = tag.start() + kind.start(1), tag.start() + kind.end(1)
             return f"{text[:begin]}fixed{text[end:]}"
     raise config.ConfigError(f"joint {joint!r} is not written as <joint name=... type=...>; make it fixed by hand")
+
+
+def _without_comments(text: str) -> str:
+    """With blanks in their place."""
+    return re.sub(r"<!--.*?-->", lambda found: " " * len(found[0]), text, flags=re.DOTALL)

@@ -39,7 +39,7 @@ def bus_of(kind: str) -> str:
 
 def _table(kind: str, place: int, role: type, count: int) -> devices.NewDevice:
     if role is JointDevice:
-        return devices.joint(kind, place, f"joint_{count}")
+        return devices.joint(kind, place, f"joint_{count}", f"joint_{count}")
     made = devices.imu(kind, "imu_base") if role is ImuDevice else devices.load_cell(kind, place, "wrist")
     if count == 1:
         return made

@@ -185,11 +185,11 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
     frames = (wanted.imu_frame, *wanted.further_imus) if wanted.imu != "none" else ()
     rows = not KINDS[wanted.base].follows
     chosen = [devices.imu(wanted.imu, frame, number, by_rows=rows) for number, frame in enumerate(frames, 1)]
-    for n, name in enumerate(wanted.joints, 1):
+    for n, (name, device) in enumerate(zip(wanted.joints, devices.of_joints(wanted.joints), strict=True), 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None
         options = {"smoothed": smoothed, "driven": wanted.drives}
-        chosen.append(devices.joint(wanted.encoder, n, name, largest_N_m, gain_N_m_A=gain, **options))
+        chosen.append(devices.joint(wanted.encoder, n, device, name, largest_N_m, gain_N_m_A=gain, **options))
     chosen += devices.load_cells(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1])
     if any(device.bus == devices.CAN for device in chosen):
         chosen.append(devices.SYNC)
@@ -290,8 +290,8 @@ row_noise = "by_frequency"     # what differentiated encoders add at high freque
 def _torque_sigmas(wanted: NewVehicle, usual: devices.OfTorque) -> dict[str, float]:
     """Of what joints add to their torques, by the names of the columns; of a recorded or free arm by its largest."""
     own: dict[str, float] = {}
-    for number, joint in enumerate(wanted.joints, 1):
-        each, bias = usual, f"bias_{devices.device_of(number, joint)}_torque"
+    for number, (joint, device) in enumerate(zip(wanted.joints, devices.of_joints(wanted.joints), strict=True), 1):
+        each, bias = usual, f"bias_{device}_torque"
         if wanted.recorded:
             each = devices.OfTorque(*(float(f"{part * _largest(wanted, number):.2g}") for part in devices.OF_LARGEST))
         elif usual is devices.FREE:

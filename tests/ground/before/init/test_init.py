@@ -178,7 +178,6 @@ def test_it_offers_what_answers_on_the_buses(tmp_path: Path, monkeypatch: pytest
         (["--base", "pivot", "--urdf", "bed.urdf", "--thrusters", "t1"], "on a bearing (--base pivot) or freely"),
         (["--base", "free", "--joints", "a,a"], "once"),
         (["--base", "free", "--joints", 'a"]'], "letters, digits"),
-        (["--base", "free", "--joints", "imu_base"], "imu_base"),
         (["--base", "free", "--name", 'x" y'], "use letters"),
         (["--base", "free", "--bus", "can_9=can+slcan:///dev/x"], "no device stands on it"),
         (["--base", "free", "--bus", "can_0"], "write BUS=URL"),
@@ -329,6 +328,64 @@ _ONE_JOINT = (
     '<joint name="j" type="revolute"><parent link="bus"/><child link="arm"/><axis xyz="0 0 1"/>'
     '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
 )
+
+
+_PAN_TILT = (
+    '<robot name="r"><link name="bus">{mass}</link><link name="pan">{mass}</link><link name="{hand}">{mass}</link>'
+    '<joint name="{pan}" type="revolute"><parent link="bus"/><child link="pan"/><axis xyz="0 0 1"/>'
+    '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>'
+    '<joint name="{tilt}" type="revolute"><parent link="pan"/><child link="{hand}"/><axis xyz="0 1 0"/>'
+    '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint></robot >\n<!-- once </robot> -->\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("pan", "tilt", "channels"),
+    [
+        ("imu_base", "imu_base_mount", ["joint_1", "imu_base_mount"]),
+        ("can_sync", "pulse", ["joint_1", "joint_2"]),
+        ("load_cell", "fx", ["joint_1", "joint_2"]),
+        ("joint_2", "b [x]", ["joint_2", "joint_3"]),
+        ("a", "a_torque", ["a", "joint_2"]),
+        ("payload_mount", "q'2&quot;", ["payload_mount", "joint_2"]),
+    ],
+)
+def test_names_of_somebody_s_urdf_are_in_no_way_of_those_that_are_added(
+    pan: str, tilt: str, channels: list[str], tmp_path: Path
+) -> None:
+    """Joints like devices or frames of ours, a link with a quote, and a last tag that is written otherwise."""
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(_PAN_TILT.format(mass=_MASS.format(3), hand="hand &quot;&amp;", pan=pan, tilt=tilt))
+    for name, more in (
+        ("free", ["--base", "free"]),
+        ("torques", ["--base", "fixed", "--encoder", "recorded"]),
+        ("wrist", ["--base", "fixed", "--load-cell", "bota_ft"]),
+        ("cell", ["--base", "fixed", "--load-cell", "cia404"]),
+        ("imu", ["--base", "free", "--imu", "mpu6050", "--imu-frame", "bus"]),
+    ):
+        assert cli.main(["init", str(tmp_path / name), "--urdf", str(urdf), *more]) == cli.OK
+        made = config.load(tmp_path / name / "vehicle.toml").file.device
+        angles = [channel for channel, keys in made.items() if hasattr(keys, "joint")]
+        assert [channel for channel in angles if not channel.endswith("_torque")] == channels
+
+
+def test_a_joint_that_follows_another_and_carries_the_arm_is_measured_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A parallelogram: fixed at zero, all that it carries would be drawn where it is not."""
+    arm = _PAN_TILT.format(mass=_MASS.format(3), hand="hand", pan="shoulder", tilt="parallel")
+    follows = arm.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="shoulder" multiplier="-1"/>')
+    wrist = (
+        f'<link name="tool">{_MASS.format(1)}</link><joint name="wrist" type="continuous">'
+        '<parent link="hand"/><child link="tool"/><axis xyz="0 0 1"/></joint>'
+    )
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(follows.replace("</robot >", f"{wrist}</robot>"))
+    asked = ["init", str(tmp_path / "v"), "--base", "free", "--urdf", str(urdf)]
+    assert cli.main(asked) == cli.BAD_INPUT
+    assert "joint 'parallel' follows 'shoulder' and carries joints" in capsys.readouterr().err
+    assert cli.main([*asked, "--joints", "wrist"]) == cli.OK
+    assert "parallel is fixed at zero" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("kind", "told"), [("continuous", True), ("revolute", False)])
