@@ -86,7 +86,8 @@ def judge_live(answer: Answer, frame: str) -> Judged:
 def _findings(answer: Answer) -> Findings:
     against, doubts = [], []
     against += [
-        f"{axis.name} reads the same in poses that differ: it is stuck, or another column is meant"
+        f"{axis.name} reads the same in poses that differ: it is stuck or at the end of its range, or another column "
+        "is meant"
         for axis in answer.axes
         if axis.frozen
     ]

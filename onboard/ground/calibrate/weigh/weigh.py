@@ -46,7 +46,7 @@ class SensorAxis(NamedTuple):
         moved: of the zero between the first and the last pose.
         moved_sigma: likewise.
         scale: fitted, in stated sigmas.
-        frozen: it reads the same in all poses.
+        frozen: it reads the same in poses that differ, as one that is stuck or saturated.
     """
 
     name: str
@@ -360,12 +360,19 @@ def _errors() -> Iterator[tuple[str, IndexArray, FloatArray]]:
 
 
 def _frozen(read: FloatArray, made: FloatArray) -> bool:
-    """Whether three or more readings in a row are equal where the poses make more than three steps of the reading."""
+    """Whether three equal readings, in a row or at an end of all, are where poses make more than three of its steps.
+
+    At an end none is in the three steps before it: noise of some steps brings a few of many poses there by chance.
+    """
     steps = np.diff(np.unique(read))
     step = float(steps.min()) if steps.size else 0.0
     edges = np.flatnonzero(np.concatenate([[True], np.diff(read) != 0.0, [True]]))
-    runs = [made[a:b] for a, b in pairwise(edges.tolist()) if b - a >= _RUN]
-    return any(float(np.ptp(run)) > _RUN * step + 1e-12 for run in runs)
+    runs = [made[a:b] for a, b in pairwise(edges.tolist())]
+    for end in (read.min(), read.max()):
+        at_end = read == end
+        if (np.abs(read - end)[~at_end] > (_RUN + 0.5) * step).all():
+            runs.append(made[at_end])
+    return any(len(run) >= _RUN and float(np.ptp(run)) > _RUN * step + 1e-12 for run in runs)
 
 
 def _held_out(poses: Poses, prior: Priors, one: wrist.PoseFit) -> HeldOut | None:
