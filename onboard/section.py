@@ -7,6 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 LARGEST = 1e12  # no quantity of a vehicle is larger, and none but zero smaller than its inverse
 Positive = Annotated[float, Field(ge=1 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0, le=LARGEST)]
+ZeroCount = Annotated[int, Field(ge=-(2**32), le=2**32)]  # of instruments that count in 32 bits, with a sign or none
 Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Vector3 = tuple[Real, Real, Real]
 Vector6 = tuple[Real, Real, Real, Real, Real, Real]

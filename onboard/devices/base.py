@@ -15,7 +15,7 @@ from drivers.ports import SerialPort, Station
 from drivers.records import Rows
 from onboard.devices import roles
 from onboard.devices.roles import Correction, ImuRole, JointRole, LoadCellKeys, LoadCellRole, Roles, SmoothedChannel
-from onboard.section import IDENTITY, Gain, Matrix3, NotNegative, Positive, Section, Vector3
+from onboard.section import IDENTITY, Gain, Matrix3, NotNegative, Positive, Section, Vector3, ZeroCount
 from onboard.timebase.delays import Delay
 from onboard.timebase.timebase import ChannelClock, FollowerChannel, SyncLine
 
@@ -265,7 +265,7 @@ noise_rad = 4e-6               # a count / sqrt(12), plus what the gear adds
     keeps_zero: ClassVar[bool] = True  # over a reset of the device
     joint: str
     counts_per_revolution: int
-    zero_count: int = 0
+    zero_count: ZeroCount = 0
     noise_rad: Positive
     scale_sigma: NotNegative = 0.0
     zero_sigma_rad: NotNegative = roles.ZERO_SIGMA_RAD

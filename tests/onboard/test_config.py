@@ -278,6 +278,8 @@ def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
         ("lag_ms = 300", "lag_ms = inf", "finite number"),
         ("lag_ms = 300", "lag_ms = 9e9", "5000 or less is wanted"),
         ("lag_ms = 300", "lag_ms = 120", "ends 125 ms after its row, so no row would be made; write 187.5"),
+        ("zero_count = 1000000", "zero_count = 99999999999999999999", "4294967296 or less is wanted"),
+        ("counts_per_revolution = 500000", "counts_per_revolution = 4294967296", "4294967295 or less is wanted"),
         ("row_rate_hz = 100", "row_rate_hz = true", "a number is wanted here (given: true)"),
         ("row_rate_hz = 100", 'row_rate_hz = "100"', "write it without quotes"),
         ("[device.load_cell]", "[device.recorder_gap]", "is heft's"),

@@ -27,7 +27,7 @@ class Cia402Device(CanopenNodeDevice, MotorDevice, DrivenDevice):
     driver_configs = (Cia402Config, GuardConfig)
     new_keys = "node = {number}\n" + DrivenDevice.new_keys
     kind: Literal["cia402"]
-    counts_per_revolution: Annotated[int, Field(gt=0)]
+    counts_per_revolution: Annotated[int, Field(gt=0, le=0xFFFFFFFF)]
     velocity_scale_rad_s: Annotated[
         float | None, Field(description="Unit of velocity of the drive, of the joint; counts a second where not given.")
     ] = None

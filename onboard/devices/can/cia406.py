@@ -16,7 +16,7 @@ class Cia406Device(CanopenNodeDevice, JointDevice):
     driver_configs = (Cia406Config, GuardConfig)
     new_keys = "node = {number}\n" + JointDevice.new_keys
     kind: Literal["cia406"]
-    counts_per_revolution: Annotated[int, Field(gt=0)]
+    counts_per_revolution: Annotated[int, Field(gt=0, le=0xFFFFFFFF)]
 
     def settings(self, name: str) -> Cia406Config:
         """See ``BusDevice``."""

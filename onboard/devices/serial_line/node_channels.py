@@ -6,7 +6,7 @@ from pydantic import Field
 
 from onboard.devices import roles
 from onboard.devices.roles import JointRole, LoadCellKeys, LoadCellRole, Roles, SmoothedChannel
-from onboard.section import NotNegative, Positive, Section
+from onboard.section import NotNegative, Positive, Section, ZeroCount
 from onboard.timebase.delays import Delay
 
 
@@ -49,7 +49,7 @@ class JointChannel(FilteredChannel):
 
     role: Literal["joint"]
     joint: str
-    zero_count: int = 0
+    zero_count: ZeroCount = 0
     absolute: bool = False
     noise_rad: Positive
     scale_sigma: NotNegative = 0.0
