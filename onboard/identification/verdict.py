@@ -100,11 +100,12 @@ def _of_all(evidence: Evidence) -> Findings:
     held_out = evidence.held_out
     if held_out is None:
         doubts += [evidence.unchecked] * bool(evidence.unchecked)
-    elif _beyond_noise(held_out.worst, evidence):
-        said = f"a half of the motion predicted from the other is off by {held_out.worst.relative_error:.0%}"
-        if held_out.worst.relative_error >= 1.0:  # as much as there is to be predicted
+    elif beyond := [one for one in (held_out.later, held_out.earlier) if _beyond_noise(one, evidence)]:
+        off = max(beyond).relative_error
+        said = f"a half of the motion predicted from the other is off by {off:.0%}"
+        if off >= 1.0:  # as much as there is to be predicted
             against.append(said)
-        elif held_out.worst.relative_error >= MOSTLY:
+        elif off >= MOSTLY:
             doubts.append(said)
     return Findings(tuple(against), tuple(doubts), evidence.findings.widened)
 

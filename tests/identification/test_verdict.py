@@ -101,6 +101,7 @@ def test_what_is_not_determined_is_named():
         ({"findings": Findings(("6% of the rows contradict the others",))}, "6% of the rows contradict the others"),
         ({"held_out": HeldOut(FINE, FINE, HeldOutFit(0.4, 20.0))}, "40% of it is left over"),
         ({"held_out": HeldOut(HeldOutFit(1.2, 9.0), FINE, FINE)}, "from the other is off by 120%"),
+        ({"held_out": HeldOut(HeldOutFit(1.2, 9.0), HeldOutFit(1.5, 1.0), FINE)}, "from the other is off by 120%"),
         ({"failure": "the fit gave up: not converged"}, "the fit gave up"),
         ({"misfit": 2.5}, "2.5 times the noise is left over"),
         ({"away": {"payload": 6.0}}, "the estimate of payload cannot exist: 6 sigmas from any body"),
@@ -255,6 +256,22 @@ def test_another_body_in_the_second_half_is_seen_there_and_only_there(rng, ident
     seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
     identifier.rls.update(Y, y, sigma)
     assert held_out(identifier).worst.relative_error > 0.5
+    assert held_out(identifier).worst.misfit > 100.0
+
+
+def test_what_a_half_does_not_tell_of_a_body_is_no_misfit_of_the_other(rng, identifier):
+    """Thrown bodies whose wheel is at its speed in the later half were refused: the whole throw was healthy."""
+    truth = rng.normal(size=len(identifier.base.names))
+    t, held, Y, _, sigma = rows(rng, identifier, 2000, truth, 0.0)
+    Y[900:, 0] *= 1e-3  # before a block that both halves could share
+    y = Y @ truth + 0.1 * rng.normal(size=2000)
+    seen = identifier.seen = RowBlocks(truth.size, 0.5, ("cell",))
+    seen.add(t, held, np.zeros(t.size, np.intp), Y, y, sigma, sigma, None)
+    identifier.rls.update(Y, y, sigma)
+    found = held_out(identifier)
+    noise = pytest.approx(1.0, abs=0.2)
+    assert (found.later.misfit, found.earlier.misfit) == (noise, noise)
+    assert found.earlier.relative_error > 2.0 * found.fit.relative_error
 
 
 def test_noise_of_the_regressor_is_taken_out_of_each_half(rng, identifier):

@@ -4,6 +4,10 @@ A fit shows the agreement of rows with parameters chosen for them. Whether the p
 compensate for another error (a flexible joint, a wrong sensor scale) shows on other motion. The rows are kept as normal
 equations per block of time, in constant memory, and afterwards divided into an earlier and a later half, separately
 with and without the payload.
+
+A half that hardly tells a direction predicts anything along it, which is no error of the parameters. So the misfit of a
+prediction is the least of ``left(t) + (t - m)' H (t - m)``, m and H the first half's estimate and information:
+``r' (1 + Y H^-1 Y')^-1 r`` of the prediction's residual r (Woodbury's identity).
 """
 
 from typing import NamedTuple
@@ -40,8 +44,8 @@ def held_out(identifier: Identifier) -> HeldOut | None:
     both = earlier.normal + later.normal
     reference = reference_of(identifier.model, identifier.base, both)
     return HeldOut(
-        predicted(later.normal, earlier.mean, reference),
-        predicted(earlier.normal, later.mean, reference),
+        earlier.predicting(later, reference),
+        later.predicting(earlier, reference),
         predicted(both, everything, reference),
     )
 
@@ -51,12 +55,21 @@ class Half(NamedTuple):
 
     normal: FloatArray  # equations with the noise of the regressor in them, (p + 2, p + 2)
     mean: FloatArray  # base parameters by these rows and the prior, (p,)
+    information: FloatArray  # of both on these, (p, p)
+
+    def predicting(self, other: "Half", reference: FloatArray) -> HeldOutFit:
+        """Prediction error of the other half; ``reference``: as of :func:`predicted`."""
+        H, G = self.information, other.information
+        moved = np.linalg.solve(H + G, G @ (other.mean - self.mean))
+        beyond = predicted(other.normal, self.mean + moved, reference).misfit
+        beyond += float(moved @ H @ moved / other.normal[-1, -1])
+        return predicted(other.normal, self.mean, reference)._replace(misfit=beyond)
 
 
 def halves(identifier: Identifier) -> tuple[Half, Half] | None:
     """The earlier and the later half of its rows; None with too few blocks to halve."""
     parts = [_half(identifier.seen, later) for later in (False, True)]
-    earlier, later = (None if part is None else Half(part[0], _solved(*part, identifier)) for part in parts)
+    earlier, later = (None if part is None else Half(part[0], *_solved(*part, identifier)) for part in parts)
     return None if earlier is None or later is None else (earlier, later)
 
 
@@ -75,8 +88,8 @@ def _half(blocks: RowBlocks, later: bool) -> tuple[FloatArray, FloatArray] | Non
     return found
 
 
-def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> FloatArray:
-    """Base parameters of these rows and the prior, (p,), the noise of the regressor taken out of the rows.
+def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> tuple[FloatArray, FloatArray]:
+    """Base parameters of these rows and the prior, (p,), and information, the noise of the regressor taken out of them.
 
     In units of the prior; a direction whose information is all noise stays at the prior.
     """
@@ -87,5 +100,7 @@ def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> Fl
     H = root.T @ clean[:-2, :-2] @ root
     g = root.T @ (clean[:-2, -2] - clean[:-2, :-2] @ center)
     values, vectors = np.linalg.eigh(H)
-    step = np.where(values > 0.0, vectors.T @ g / (1.0 + np.maximum(values, 0.0)), 0.0)
-    return np.asarray(center + root @ vectors @ step, np.float64)
+    told = 1.0 + np.maximum(values, 0.0)
+    step = np.where(values > 0.0, vectors.T @ g / told, 0.0)
+    unit = np.linalg.solve(root.T, vectors)
+    return np.asarray(center + root @ vectors @ step, np.float64), np.asarray(unit * told @ unit.T, np.float64)

@@ -14,7 +14,7 @@ class HeldOutFit(NamedTuple):
     """Prediction error of one half with parameters of the other."""
 
     relative_error: float  # weighted norm of the residual over that of the measured side
-    misfit: float  # whitened residual sum over the number of rows
+    misfit: float  # whitened residual sum over the number of rows; of a half, beyond what the other leaves open
 
 
 def prediction(blocks: RowBlocks, model: RowModel, base: BaseParameters, mean: FloatArray) -> HeldOutFit:
