@@ -25,3 +25,8 @@ def last(of: _Counts, exact: bool, make: Callable[[bool], JackknifeEstimate]) ->
     if exact not in kept or kept[exact][0] != of.rows_used:
         kept[exact] = of.rows_used, make(exact)
     return kept[exact][1]
+
+
+def forget(of: _Counts) -> None:
+    """Make it anew the next time, of the same rows too."""
+    _LAST.pop(of, None)

@@ -147,7 +147,11 @@ class Hypotheses:
         return found
 
     def finish(self) -> None:
-        """Nothing is left to be done: each update processes its rows."""
+        """Judge all rows: no more come."""
+        for identifier in self._members.values():
+            identifier.finish()
+        if self.rows_used >= SHORTEST:
+            self._judge()
 
     def estimate(self) -> Estimate:
         """Of the selected identifier, or the mixture of those that may be right."""

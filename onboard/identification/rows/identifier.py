@@ -12,7 +12,7 @@ import numpy as np
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, finite
 from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, count_refused, none_refused
-from onboard.estimation.policy import HALF, contradicted_text
+from onboard.estimation.policy import AGAIN, HALF, contradicted_text
 from onboard.estimation.recursive import jackknives
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.instrumental import RecursiveInstrumental
@@ -20,7 +20,7 @@ from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeast
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.change import Change
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Estimate, Findings, Quantity
-from onboard.identification.rows.checks.agreement import InstrumentFit, instrument_fits, with_stated
+from onboard.identification.rows.checks.agreement import InstrumentFit, but_gains, instrument_fits, with_stated
 from onboard.identification.rows.checks.prediction import prediction, without_unknown
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.found import found
@@ -124,7 +124,7 @@ class Identifier:
         else:
             self.recursion = instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
             self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
-        self._as_stated = Taken.of(self.rls, considered, base, prior_root)
+        self._as_stated = Taken.of(self.rls, considered, base, prior_root, model.chi)
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
         self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
@@ -135,8 +135,8 @@ class Identifier:
         self.about: FloatArray | None = None
         self._estimated: tuple[tuple[int, int], Estimate] | None = None  # the last one, and what it is of
         free = model.vehicle.spec.base.falls  # elsewhere the scale of the only reading cannot be separated from a mass
-        beside = 0 if free else len(self.considered)  # of a free base columns of errors are of the rows' own noise
-        self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments, beside)
+        # of a free base columns of errors are of the rows' own noise
+        self.seen = RowBlocks(p, _SEEN_SHARE * block_s, instruments, 0 if free else len(self.considered))
         self._of_motion = of_motion(considered)
         of_errors = p, considered, block_s, [joint.name for joint in model.vehicle.joints], start and start.sensitivity
         self._corrections = FittedCorrections(*of_errors) if free and self._of_motion else None
@@ -146,12 +146,11 @@ class Identifier:
             self.errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
-        self._physical = base.of_bodies
         self._stated: StatedSigmas | None = None
         if stated and not free and not self._scales and start is None and memory == FOR_EVER:
-            of = considered, instruments, base, model.chi, self._as_stated
-            self._stated = StatedSigmas(stated, *of)
+            self._stated = StatedSigmas(stated, considered, instruments, base, self._as_stated)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
+        self._is_over = False  # no more rows come
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -201,13 +200,11 @@ class Identifier:
             raise SignalError(f"{m} measured rows a tick for {len(self.model.rows)} in the model; give as many")
         found = np.repeat(np.asarray(excluded, np.int64)[:, None], m, axis=1)
         found |= 0 if signals.refused is None else signals.refused
-        moving = [signals.q, signals.dq, signals.ddq, *signals.motion]
-        whole = finite(moving)
-        found[~whole] |= GateReason.GAP
+        whole = finite([signals.q, signals.dq, signals.ddq, *signals.motion])
         if signals.noise is not None:
             self._inflation = signals.noise.inflation
             whole &= finite(signals.noise[:6])
-            found[~whole] |= GateReason.GAP
+        found[~whole] |= GateReason.GAP
         found[~(np.isfinite(signals.measured) & np.isfinite(signals.sigma))] |= GateReason.GAP
         self.innovation = np.full((n, m), np.nan)
         for first in range(0, n, self.batch_ticks):
@@ -223,7 +220,13 @@ class Identifier:
         return self._bank if self._bank is not None and (self._scales or self._bank.explains) else None
 
     def finish(self) -> None:
-        """Nothing is left to be done: each update processes its rows."""
+        """Judge all rows, and not a fifth less: no more come."""
+        self._is_over, self._estimated = True, None
+        jackknives.forget(self)
+
+    def _is_due(self, rows: int) -> bool:
+        """Whether what is costly, and was done with so many rows, is to be done again."""
+        return not rows <= self.rows_used < (rows + 1 if self._is_over else AGAIN * rows)
 
     def _batch(self, signals: Signals, attached: BoolArray, found: ReasonArray, part: slice) -> None:
         reasons = found[part]
@@ -297,10 +300,10 @@ class Identifier:
 
     @property
     def taken(self) -> Taken:
-        """What is stated of the parameters and gains, as wide as the rows so far ask."""
+        """What is stated of the parameters and gains, as wide as the rows asked when it was last looked at."""
         if self._stated is None or not self.rows_used:
             return self._as_stated
-        if self._taken is None or self._taken[0] != self.rows_used:
+        if self._taken is None or self._is_due(self._taken[0]):
             mean = self.recursion.least_squares()
             asked = self.seen, mean, self._inflation**2, self.errors.settled_s(self.seen, mean)
             self._taken = self.rows_used, self._stated.taken(self._as_stated, *asked)
@@ -310,13 +313,13 @@ class Identifier:
         """How each instrument's rows stand to the estimate of all, ``mean``; none where that forgets."""
         if self.memory != FOR_EVER:
             return ()
-        if self._fitted is None or self._fitted[0] != self.rows_used:
+        if self._fitted is None or self._is_due(self._fitted[0]):
             mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
-            plain, prior = self.taken.rls.solve().mean, self.taken.rls.prior_equations()[0]
-            bodies = drawn, without_unknown(self.model, self.base), self._physical
+            taken = self.taken.by(self.rls)
+            plain, prior = taken.rls.solve().mean, taken.rls.prior_equations()[0]
+            bodies = drawn, without_unknown(self.model, self.base), self.base.of_bodies
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            gains = np.array([cause.effect in ("scale", "held_scale") for cause in self.considered], np.bool_)
-            beside = np.where(gains, 0.0, self.taken.considered)[: self.seen.considered]
+            beside = but_gains(taken.considered, self.considered)[: self.seen.considered]
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, beside), self.considered)
         return self._fitted[1]
 
@@ -328,7 +331,7 @@ class Identifier:
     @property
     def rows_seen(self) -> RowsSeen:
         """All rows so far, those included that contradict the estimate, and what is drawn."""
-        taken, refused = self.taken, self.refused[GateReason.RESIDUAL] * self.gate.threshold**2
+        taken, refused = self.taken.by(self.rls), self.refused[GateReason.RESIDUAL] * self.gate.threshold**2
         return RowsSeen.of(taken.rls, taken.considered, refused, self.drawn)
 
     @property
@@ -339,7 +342,7 @@ class Identifier:
     def unstated(self, jackknife: JackknifeEstimate) -> Unstated:
         """What errors that no key states do to the estimate: suspected steps, and scales off the drawing."""
         steps = [] if self.suspects else [one for fit in self.fits(jackknife.mean) for one in fit.suspected]
-        body, prior = np.where(self._physical, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
+        body, prior = np.where(self.base.of_bodies, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         return Unstated.of(steps, unstated(self.quantities, jackknife, self.seen, body, prior))
 
     @property
@@ -363,7 +366,7 @@ class Identifier:
         return made if answer is None else made.instead(answer)
 
     def _block_jackknife(self, exact: bool) -> JackknifeEstimate:
-        taken = self.taken
+        taken = self.taken.by(self.rls)
         self.errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root

@@ -10,8 +10,10 @@ from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.errors import RowError
 from onboard.estimation.gates import GateReason
+from onboard.estimation.policy import AGAIN
 from onboard.estimation.recursive.memory import Memory
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
+from onboard.identification.rows import identifier as module
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.rows import RowModel
@@ -126,6 +128,30 @@ def test_an_answer_takes_two_jackknifes_one_for_its_findings(rng, monkeypatch):
     who.findings()
     who.estimate()
     assert len(taken) == 2
+
+
+def test_what_is_costly_is_judged_again_of_a_fifth_more_rows_and_at_the_end_of_all(rng, monkeypatch):
+    signals, held, _ = rocksat_flight.flight(rng)
+    who, at_once, judged = rocksat_flight.identifier(), rocksat_flight.identifier(), list[float]()
+    real = module.instrument_fits
+
+    def counted(blocks, *rest):
+        judged.append(blocks.total()[-1, -1])  # whitened, that of sigma is one: rows
+        return real(blocks, *rest)
+
+    monkeypatch.setattr(module, "instrument_fits", counted)
+    for k in range(0, held.size, 20):
+        rocksat_flight.feed(who, rocksat_flight.part(signals, slice(k, k + 20)), held[k : k + 20])
+        who.findings()
+    growth = np.diff(np.log(judged))
+    assert (growth > np.log(AGAIN) - 1e-9).all()
+    assert len(judged) < 30 < held.size / 20
+    rocksat_flight.feed(at_once, signals, held, step=20)
+    for one in (who, at_once):
+        one.finish()
+    assert [fit.rows for fit in who.fits()] == [fit.rows for fit in at_once.fits()]
+    assert who.findings() == at_once.findings()
+    assert who.estimate().quantities == at_once.estimate().quantities
 
 
 def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng):

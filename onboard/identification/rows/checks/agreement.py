@@ -144,6 +144,11 @@ def _part(times_s: FloatArray, of_rows: FloatArray, noise: FloatArray, v: FloatA
     return Blocks(times_s, N[:, :-2, :-2], scores, left, correlation / N[:, -1, -1])
 
 
+def but_gains(sigma: FloatArray, considered: Sequence[Considered]) -> FloatArray:
+    """Sigmas of considered errors, (k,), those of gains zero."""
+    return np.where([cause.effect in ("scale", "held_scale") for cause in considered], 0.0, sigma)
+
+
 def with_stated(fits: Sequence[InstrumentFit], considered: Sequence[Considered]) -> tuple[InstrumentFit, ...]:
     """The same with the sigmas that are stated: of a step between recordings, and of a scale against another's."""
     between = {one.row: one.sigma for one in considered if one.effect == "held_scale"}

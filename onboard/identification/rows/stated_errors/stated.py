@@ -68,15 +68,26 @@ class Taken(NamedTuple):
     rls: SquareRootRls  # of the rows so far
     considered: FloatArray  # (k,) sigmas of the considered errors
     prior_root: FloatArray  # (P, P) L of the covariance ``L L'`` of the standard parameters
-    covariance: FloatArray  # (p, p) of the base parameters
+    centre: FloatArray  # (p,) base parameters as drawn
+    covariance: FloatArray  # (p, p) of these
     said: tuple[str, ...] = ()  # which are contradicted
 
     @classmethod
     def of(
-        cls, rls: SquareRootRls, considered: Sequence[Considered], base: BaseParameters, prior_root: FloatArray
+        cls,
+        rls: SquareRootRls,
+        considered: Sequence[Considered],
+        base: BaseParameters,
+        prior_root: FloatArray,
+        chi: FloatArray,
     ) -> "Taken":
-        """All of it, by a recursion that may not have its rows yet."""
-        return cls(rls, np.array([cause.sigma for cause in considered]), prior_root, base.covariance(prior_root))
+        """All of it, by a recursion that may not have its rows yet; ``chi``: standard parameters as drawn, (P,)."""
+        sigma = np.array([cause.sigma for cause in considered])
+        return cls(rls, sigma, prior_root, base.value(chi), base.covariance(prior_root))
+
+    def by(self, rls: SquareRootRls) -> "Taken":
+        """The same of the rows that a recursion has now."""
+        return self if self.rls is rls else self._replace(rls=rls.with_prior(self.centre, self.covariance))
 
 
 class StatedSigmas:
@@ -87,7 +98,6 @@ class StatedSigmas:
         considered: errors of instruments, each with a column in the rows unless it is a gain.
         instruments: that make the rows.
         base: the base parameters.
-        chi: standard parameters as drawn, (P,).
         stated: what is taken for granted if nothing contradicts it.
     """
 
@@ -97,7 +107,6 @@ class StatedSigmas:
         considered: Sequence[Considered],
         instruments: Sequence[str],
         base: BaseParameters,
-        chi: FloatArray,
         stated: Taken,
     ) -> None:
         self._causes = [k for k, one in enumerate(considered) if one.sigma > 0.0 and one.effect != "held_scale"]
@@ -110,7 +119,7 @@ class StatedSigmas:
         self._base, self._gains = base, np.flatnonzero(is_gain)
         self._errors = RowErrors(
             half[:, self._active],
-            base.value(chi),
+            stated.centre,
             np.array([one.sigma for one in causes]),
             np.where(is_gain, -1, self._causes).astype(int).tolist(),
             is_gain[:, None] & (reads.reshape(len(causes), len(instruments)) | of_all[:, None]),
@@ -173,8 +182,8 @@ class StatedSigmas:
             considered[at] = np.maximum(considered[at], abs(factor) / HALF)
             said += (f"all gains may be off by a common factor, by {abs(factor):.0%}",)
         covariance = self._base.covariance(root)
-        rls = stated.rls.with_prior(self._errors.centre, covariance)
-        return Taken(rls, considered, root, covariance, said)
+        rls = stated.rls.with_prior(stated.centre, covariance)
+        return Taken(rls, considered, root, stated.centre, covariance, said)
 
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.

@@ -74,6 +74,14 @@ def test_two_healthy_cells_both_answer(rng):
     assert found.rows_used == 2 * 1600
 
 
+def test_at_the_end_all_rows_are_judged(rng):
+    found = Hypotheses(identifier, ("cell_1", "cell_2"))
+    fly(found, rng)
+    assert sum(fit.rows for fit in found.chosen.fits()) < found.rows_used
+    found.finish()
+    assert sum(fit.rows for fit in found.chosen.fits()) == pytest.approx(found.rows_used)
+
+
 def test_of_two_cells_of_different_scales_the_answer_holds_what_either_says(rng):
     """The drawn arm makes the one likelier; the 99.9 % interval holds the other, too."""
     found = Hypotheses(identifier, ("cell_1", "cell_2"))

@@ -23,7 +23,7 @@ def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sig
     n = len(truth)
     base = BaseParameters(tuple("abcdef"[:n]), np.arange(n), np.eye(n), tuple("abcdef"[:n]))
     blocks, rls, drawn = RowBlocks(n, 1.0, CELLS), SquareRootRls(n, len(considered)), np.ones(n)
-    stated = Taken.of(rls, considered, base, sigma * np.eye(n))
+    stated = Taken.of(rls, considered, base, sigma * np.eye(n), drawn)
     rls.prior(drawn, stated.covariance)
     times = np.sort(rng.uniform(0.0, 40.0, 1000))
     for number, gain in enumerate(gains):
@@ -35,7 +35,7 @@ def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sig
             C[:, [one.row in ("", CELLS[number]) for one in considered]] = y[:, None]
         rls.update(Y, y, each, C if considered else None)
         blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None)
-    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, drawn, stated)
+    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, stated)
     return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, -np.inf)
 
 
@@ -116,7 +116,7 @@ def of_an_encoder(rng, since_s):
     turned = Considered("zero of joint_1", "joint_1", "joint_zero", 0.01, "joint_1 zero_sigma_rad")
     base = BaseParameters(("a", "b"), np.arange(2), np.eye(2), ("a", "b"))
     blocks, rls, considered = RowBlocks(2, 1.0, CELLS, 3), SquareRootRls(2, 3), (*SCALES, turned)
-    stated = Taken.of(rls, considered, base, 0.05 * np.eye(2))
+    stated = Taken.of(rls, considered, base, 0.05 * np.eye(2), np.ones(2))
     rls.prior(np.ones(2), stated.covariance)
     times = np.sort(rng.uniform(0.0, 40.0, 1000))
     for number, sign in enumerate((1.0, -1.0)):
@@ -127,7 +127,7 @@ def of_an_encoder(rng, since_s):
         C = np.column_stack([np.zeros((1000, 2)), effect])
         rls.update(Y, y, each, C)
         blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None, C)
-    sigmas = StatedSigmas(COLUMNS[:2], considered, CELLS, base, np.ones(2), stated)
+    sigmas = StatedSigmas(COLUMNS[:2], considered, CELLS, base, stated)
     return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, since_s)
 
 
