@@ -28,8 +28,8 @@ def add(commands: common.Commands) -> None:
     )
     identify.add_argument(
         "--method",
-        choices=("rows", "instrumental", "exiddm"),
-        help="by rows, with instruments, or by maximum likelihood (default: the vehicle file's)",
+        choices=("rows", "exiddm"),
+        help="by rows, or by maximum likelihood (default: the vehicle file's)",
     )
     identify.add_argument(
         "--from", dest="earlier", type=Path, metavar="LOG", help="start from the last estimate of LOG"

@@ -165,15 +165,8 @@ def _check_rest(vehicle: Vehicle, fail: Fail) -> None:
     _check_pivot(vehicle, fail)
     _check_body(vehicle, fail)
     _check_parabola(vehicle, fail)
-    method = file.estimation.how
-    if method.predicts:
+    if file.estimation.predicts:
         _check_predicted(vehicle, fail)
-    if method.falling:
-        where = ["estimation", "method"]
-        if not file.vehicle.base_kind.falls:
-            fail(where, f'the base is {file.vehicle.base!r}; method "{method.name}" is for base = "free"')
-        if set(file.estimation.base_rows) != {"force", "moment"}:
-            fail(where, f'method "{method.name}" needs base_rows = ["force", "moment"]')
     for index, load in enumerate(file.free_body.load if file.free_body else ()):
         if load.role == "proof" and load.truth_kg_m2 is None:
             fail(["free_body", "load", str(index), "role"], "a proof body must be known; give truth_kg_m2")

@@ -242,9 +242,8 @@ class FreeFlyerKeys(Section):
 class Estimation(Section):
     """The estimator's ticks, its smoothing kernel, its rows, its gates.
 
-    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "instrumental" the same for a free base with
-        instrumental variables (rows of predicted motion), without bias by noise; "exiddm" predicts the base IMU of a
-        free vehicle, estimates the payload, detects capture and ejection; it uses ``imu_prior``, ``exiddm`` and
+    ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts the base IMU of a free
+        vehicle, estimates the payload, detects capture and ejection; it uses ``imu_prior``, ``exiddm`` and
         ``prior.link``.
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
     or its smoother; see :mod:`onboard.estimation.kinematics`. ``lag_ms``: 0.75 times that, where 200 are too few.
@@ -263,7 +262,7 @@ class Estimation(Section):
     ``nuisance``: base parameters that absorb unmodelled effects: estimated, but never reported as supported.
     """
 
-    method: Literal["rows", "instrumental", "exiddm"] = "rows"
+    method: Literal["rows", "exiddm"] = "rows"
     step_ms: Annotated[float, Field(ge=1, le=1000)] = 50
     row_rate_hz: Annotated[float, Field(ge=0.1, le=10_000)] = 100
     lag_ms: Annotated[float, Field(ge=1, le=5000)] = LAG_MS

@@ -15,24 +15,19 @@ class EstimationMethod:
     Attributes:
         name: in vehicle.toml.
         predicts: it predicts what the base's instruments show, and has no rows.
-        falling: its rows are force and moment on a free base, both zero.
         tick_means: it takes the base IMU's means over each tick, and not smoothed signals at its middle.
         builder: "package.module:function" that makes its estimator from a vehicle file; "": by what is predicted.
     """
 
     name: str
     predicts: bool = False
-    falling: bool = False
     tick_means: bool = False
     builder: str = ""
 
 
 PREDICTING = EstimationMethod("exiddm", predicts=True, tick_means=True)
 OF_A_FREE_BASE = f'the method "{PREDICTING.name}" of a free base'
-METHODS = {
-    method.name: method
-    for method in (EstimationMethod("rows"), EstimationMethod("instrumental", falling=True), PREDICTING)
-}
+METHODS = {method.name: method for method in (EstimationMethod("rows"), PREDICTING)}
 
 
 class Prediction(StrEnum):

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.kinematics import Bodies, Chain
 from onboard.dynamics.model.errors import UrdfError
-from onboard.dynamics.model.inertia import moved_to
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.spatial import times
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, cross
@@ -73,17 +72,6 @@ class Fold(NamedTuple):
     held: tuple[FloatArray, ...]  # (10 x links beyond the cut, c) each
     released: tuple[FloatArray, ...]
     columns: int
-
-
-def body_parameters(vehicle: VehicleModel) -> FloatArray:
-    """Map from link parameters to those of the joints' bodies, ``T P T'`` per link, (10 x bodies, 10 x links)."""
-    model = vehicle.model
-    out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
-    for link, name in enumerate(vehicle.links):
-        frame = model.frames[vehicle.frame_id(name)]
-        pose, first = frame.placement.homogeneous, 10 * (int(frame.parentJoint) - 1)
-        out[first : first + 10, 10 * link : 10 * link + 10] = moved_to(pose)
-    return out
 
 
 class WrenchColumns:

@@ -2,8 +2,7 @@
 
 With the other links known, ``W_payload chi_payload = -W_known chi_known``.
 
-The regressor is made of base motion, measured (plain least squares, biased by its noise) or predicted (instrumental
-variables).
+The regressor is made of measured base motion: plain least squares are biased by its noise.
 """
 
 from typing import NamedTuple

@@ -111,7 +111,7 @@ def test_derivatives_with_thrust_are_finite_differences() -> None:
     [
         ({"device": {"jet_1": {"frame": "link_3"}}}, "link_3"),
         ({"device": {"jet_1": {"axis": [0.0, 0.0, 0.0]}}}, "needs a direction"),
-        ({"estimation": {"method": "instrumental", "base_rows": ["force", "moment"]}}, 'known to the method "exiddm"'),
+        ({"estimation": {"method": "rows", "base_rows": ["force", "moment"]}}, 'known to the method "exiddm"'),
     ],
 )
 def test_what_cannot_be_is_refused(changes: dict[str, dict[str, object]], said: str) -> None:

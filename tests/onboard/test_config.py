@@ -76,7 +76,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
             "[estimation.memory]\nforgetting_s = 9\nwindow_s = 9\n[estimation.gates]",
             "remove either",
         ),
-        ("step_ms = 100", 'method = "instrumental"\nstep_ms = 100', 'method "instrumental" is for base = "free"'),
+        ("step_ms = 100", 'method = "instrumental"\nstep_ms = 100', "none of rows, exiddm"),
         ("step_ms = 100", 'smoothing = "kalman"\nstep_ms = 100', "none of spline, filter, smoother"),
         ("[estimation.gates]", "[estimation.memory]\nwindow_ms = 9\n[estimation.gates]", "did you mean 'window_s'"),
     ],
@@ -218,7 +218,7 @@ def test_a_share_of_nothing_is_not_taken_for_exact(payload: str, refused: bool) 
     """The payload link has no inertia in the URDF: nobody may take it for a known nothing without saying so."""
     path = config.packaged("dymaflex_parabolic")
     links = ", ".join(f"link_{k} = 0.0" for k in range(1, 6))
-    rows = '[estimation]\nmethod = "instrumental"\nbase_rows = ["force", "moment"]'
+    rows = '[estimation]\nbase_rows = ["force", "moment"]'
     prior = f"[estimation.prior]\nrelative = {{ base = 0.01, {links}, payload = {payload} }}"
     devices, _, _ = path.read_text().partition("[estimation]")
     vehicle = config.parse(f"{devices}\n{rows}\n{prior}\n", path)

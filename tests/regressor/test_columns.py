@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from onboard.dynamics.model.bases import BaseKind
+from onboard.dynamics.model.inertia import moved_to
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.regressor.columns import body_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows, joint_torque_row, load_cell_row
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 from tests.regressor.test_rows import VEHICLES, random_motion
@@ -23,6 +23,17 @@ def configuration(vehicle, q):
         out[:, joint.q_index : joint.q_index + joint.q_size] = np.column_stack(
             [np.cos(value), np.sin(value)] if joint.q_size == 2 else [value]
         )
+    return out
+
+
+def body_parameters(vehicle):
+    """Map from link parameters to those of the joints' bodies, ``T P T'`` per link, (10 x bodies, 10 x links)."""
+    model = vehicle.model
+    out = np.zeros((10 * (model.njoints - 1), 10 * len(vehicle.links)))
+    for link, name in enumerate(vehicle.links):
+        frame = model.frames[vehicle.frame_id(name)]
+        first = 10 * (int(frame.parentJoint) - 1)
+        out[first : first + 10, 10 * link : 10 * link + 10] = moved_to(frame.placement.homogeneous)
     return out
 
 

@@ -76,9 +76,9 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
     },
     estimation.Estimation: {
         "method": _M(
-            '"rows": least squares on rows of the dynamics; "instrumental": the same for a free base, unbiased by '
-            'noise; "exiddm": predicts the base IMU of a free vehicle, finds payload, capture and ejection.',
-            'a free base: "exiddm"; "instrumental" where it must be linear',
+            '"rows": least squares on rows of the dynamics; "exiddm": predicts the base IMU of a free vehicle, finds '
+            "payload, capture and ejection.",
+            'a free base: "exiddm"',
         ),
         "step_ms": _M("The estimator runs this often; answers come at 10 Hz at most.", "the computer is slow"),
         "row_rate_hz": _M("Rows of the regression a second.", "the motion is faster than a tenth of it"),

@@ -1,1 +1,1 @@
-"""The recursive estimators: square-root kernel, window, memory, instrumental variables."""
+"""The recursive estimators: square-root kernel, window, memory."""

@@ -238,7 +238,6 @@ class JackknifeEstimate:
 
     Attributes:
         mean: the estimate, (p,), corrected for regressor noise.
-        floored: whether the formal covariance is a lower bound.
 
     Raises:
         SingularError: as :meth:`SquareRootRls.solve`.
@@ -257,7 +256,6 @@ class JackknifeEstimate:
         scale: NoiseScale | None = None,
     ) -> None:
         sigma = self._checked(rls, considered_sigma)
-        self.floored = True
         self._scale = scale
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         corrected = _corrected(rls, blocks)
@@ -312,8 +310,6 @@ class JackknifeEstimate:
         if self._instead is not None:
             return self._instead.known[1]
         common = self._common @ self._common.T
-        if not self.floored:
-            return np.asarray(rows + common, np.float64)
         # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below that of
         # the noise.
         inverse = np.linalg.inv(self._root)
@@ -333,8 +329,7 @@ class JackknifeEstimate:
         w = np.atleast_2d(np.asarray(weights, np.float64))
         prior = np.linalg.norm(w @ self._prior_half, axis=1)
         rows = ((self._moves @ w.T) ** 2).sum(axis=0) * self._rows_weight()
-        if self.floored:
-            rows = np.maximum(rows, self.formal_variance(w) - prior**2)
+        rows = np.maximum(rows, self.formal_variance(w) - prior**2)
         return np.sqrt(rows), prior, np.abs(w @ self._common[:, -1])
 
     def formal_variance(self, weights: ArrayLike) -> FloatArray:
@@ -362,9 +357,7 @@ class JackknifeEstimate:
         freedom = np.maximum(np.divide(total**2, squares, out=np.ones_like(total), where=squares > 0.0) - 1.0, 1.0)
         if self._scale is not None:
             freedom = np.full_like(total, self._scale.freedom)
-        variance = jackknife + prior
-        if self.floored:
-            variance = np.maximum(variance, self._least * self.formal_variance(w))
+        variance = np.maximum(jackknife + prior, self._least * self.formal_variance(w))
         if self._instead is not None:
             variance, common = self._instead.covering(w) ** 2, np.zeros_like(common)
         t = stdtrit(freedom, 0.5 + 0.5 * INTERVAL)

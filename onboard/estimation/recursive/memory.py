@@ -164,7 +164,6 @@ class RecursiveLeastSquares:
             self.rls = WindowRls(parameters, considered, closed)
             self.blocks = BlockScores(parameters, block_s, max(closed + 2, 4))
         self._last_s: float | None = None
-        self._without_noise = False
 
     def add(
         self,
@@ -198,7 +197,7 @@ class RecursiveLeastSquares:
             factor = float(np.exp(-max(times_s[-1] - self._last_s, 0.0) / self.memory.forgetting_s))
         self.rls.update(Y, y, sigma, C, factor)
         if factor < 1.0:
-            self._fade(factor)
+            self.blocks.fade(factor)
         self.blocks.add(times_s, Y, y, sigma, noise)
         self._last_s = float(times_s[-1])
 
@@ -225,13 +224,7 @@ class RecursiveLeastSquares:
             at_s = np.full(int(mine.sum()), newest_s)
             self.blocks.add(at_s, Y[mine], y[mine], sigma[mine], doubt)
             self._last_s = newest_s
-            self._keep_from(newest_s, self.rls.blocks)
-
-    def _fade(self, factor: float) -> None:
-        self.blocks.fade(factor)
-
-    def _keep_from(self, newest_s: float, blocks: int) -> None:
-        self.blocks.keep_from(newest_s, blocks)
+            self.blocks.keep_from(newest_s, self.rls.blocks)
 
     def expect_noise(self) -> None:
         """Of rows that were made without noise: takes in what that of the regressor adds on average.
@@ -245,7 +238,6 @@ class RecursiveLeastSquares:
         none = np.zeros((len(rows), self.rls.considered)) if self.rls.considered else None
         self.rls.update(rows, shared, np.ones(len(rows)), none)
         self.blocks.expect_noise()
-        self._without_noise = True
 
     def innovation(self, Y: FloatArray, y: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As :meth:`SquareRootRls.innovation`, against :meth:`least_squares`."""

@@ -17,7 +17,7 @@ Source = str | Path | FlightLog
 def identify(
     logs: Source | Sequence[Source],
     vehicle: str | Path | config.Vehicle | None = None,
-    method: Literal["rows", "instrumental", "exiddm"] | None = None,
+    method: Literal["rows", "exiddm"] | None = None,
 ) -> again.Identification:
     """Identify from logs, as ``heft identify`` does.
 
@@ -25,7 +25,7 @@ def identify(
         logs: one log or several, by path or opened.
         vehicle: that flew: a vehicle file, the name of a packaged vehicle, or one that is loaded; the one that the
             logs carry where None.
-        method: by rows, with instruments, or by maximum likelihood; the vehicle file's where None.
+        method: by rows, or by maximum likelihood; the vehicle file's where None.
 
     Raises:
         LogFormatError: a file that is no log.

@@ -1,1 +1,1 @@
-"""Identification by least squares on measurement rows, with or without instrumental variables."""
+"""Identification by least squares on measurement rows."""

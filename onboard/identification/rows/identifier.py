@@ -15,7 +15,6 @@ from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, coun
 from onboard.estimation.policy import AGAIN, HALF, contradicted_text
 from onboard.estimation.recursive import jackknives
 from onboard.estimation.recursive.consistency import JackknifeEstimate
-from onboard.estimation.recursive.instrumental import RecursiveInstrumental
 from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.change import Change
@@ -25,7 +24,6 @@ from onboard.identification.rows.checks.prediction import prediction, without_un
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.found import found
 from onboard.identification.rows.grasped import contradiction, grasped_payload
-from onboard.identification.rows.instruments import Instruments, MotionRows
 from onboard.identification.rows.likelihood import RowsSeen
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.stated_errors.considered import Considered, check, of_motion
@@ -58,9 +56,6 @@ class Identifier:
         memory: weighting of earlier rows.
         huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
-        instruments_lag_s: with instrumental variables, for a free base: the smoothing kernel's width, so that motion
-            predicted from what was measured so long ago shares no noise with what is measured. Plain least squares
-            where not given.
         start: warm start; default: the prior.
         whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
         stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free and
@@ -98,7 +93,6 @@ class Identifier:
         memory: Memory = FOR_EVER,
         huber_sigma: float | None = None,
         imu_frame: str | None = None,
-        instruments_lag_s: float | None = None,
         start: Start | None = None,
         whitening: Whitening | None = None,
         stated: Sequence[Stated] = (),
@@ -118,12 +112,7 @@ class Identifier:
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self.payload = grasped_payload(model, base)
         self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
-        self._instruments: Instruments | None = None
-        if instruments_lag_s is None:
-            self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
-        else:
-            self.recursion = instrumental = RecursiveInstrumental(p, len(self.considered), block_s, memory)
-            self._instruments = Instruments(instrumental, model, self._fold, base, prior_root, instruments_lag_s)
+        self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
         self._as_stated = Taken.of(self.rls, considered, base, prior_root, model.chi)
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
@@ -243,7 +232,7 @@ class Identifier:
         asked = signals, at, use, attached
         rows = self.errors.biased(Y[..., :-1][use], self.base.names, asked, self.about, self.rls)  # (r, p)
         y, sigma = (signals.measured[at] - Y[..., -1])[use], signals.sigma[at][use]  # (r,)
-        doubt, changes, group, effect = None, None, np.zeros(at.size, np.intp), np.zeros((len(y), 0))
+        doubt, effect = None, np.zeros((len(y), 0))
         if signals.noise is not None:
             mean = self.rls.solve().mean if self.about is None else self.about
             changes, group = self._noise.changes(signals, signals.noise, at, attached, mean if self._scales else None)
@@ -274,9 +263,6 @@ class Identifier:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
         rows, y, C, sigma, own, doubt = self.errors.at(noisy, mean)
         self.recursion.add(times + _APART_s * self._recorded_apart * attached[at][tick], rows, y, sigma, C, doubt)
-        if self._instruments is not None:
-            moved = signals.time_s[at], *joints, motion.rate_rad_s, attached[at]
-            self._instruments.take(MotionRows(*moved, use, rows, y, own, changes, group, C))
         of = times, attached[at][tick], self._instrument[row]
         self.seen.add(*of, rows, y, sigma, own, doubt, C, mean, self.errors.noise(signals, at[tick], doubt, mean))
         if self._corrections is not None and noisy.C is not None:
@@ -362,7 +348,7 @@ class Identifier:
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         made = jackknives.last(self, exact, self._block_jackknife)
-        answer = None if exact or self.suspects is None or self._instruments is not None else self.suspects.answer
+        answer = None if exact or self.suspects is None else self.suspects.answer
         return made if answer is None else made.instead(answer)
 
     def _block_jackknife(self, exact: bool) -> JackknifeEstimate:
@@ -370,8 +356,6 @@ class Identifier:
         self.errors.restate(taken.rls)
         fitted = None if exact else self.fitted_errors
         sigma = taken.considered * (not exact) if fitted is None else fitted.root
-        if self._instruments is not None:
-            return self.recursion.block_jackknife(sigma)
         return JackknifeEstimate(taken.rls, self.recursion.blocks, sigma, scale=fitted and fitted.noise)
 
     def bounds(self) -> FloatArray:

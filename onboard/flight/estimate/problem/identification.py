@@ -248,7 +248,6 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             Memory(settings.memory.forgetting_s, settings.memory.window_s),
             settings.gates.huber_sigma,
             imu_frame=roles.imu.frame if roles.imus else None,
-            instruments_lag_s=settings.smoothing_ms * 1e-3 if settings.method == "instrumental" else None,
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
