@@ -186,7 +186,7 @@ INNOCENT: list[tuple[Rule, str, str]] = [
     ),
     (
         estimation_is_pure,
-        "onboard/estimation/recursive/memory.py",
+        "onboard/estimation/recursive/least_squares.py",
         "from .rls import R\nfrom onboard.estimation import rls",
     ),
     (

@@ -53,22 +53,6 @@ class Gates(Section):
         return self
 
 
-class MemoryKeys(Section):
-    """Weighting of earlier rows: all count in full, unless one of the two is given.
-
-    ``forgetting_s``: a row's weight falls by 1/e in this time. ``window_s``: rows are used for this long.
-    """
-
-    forgetting_s: Positive | None = None
-    window_s: Positive | None = None
-
-    @model_validator(mode="after")
-    def _one_at_most(self) -> "MemoryKeys":
-        if self.forgetting_s is not None and self.window_s is not None:
-            raise ValueError("forgetting_s and window_s exclude each other; remove either")
-        return self
-
-
 class Zero(Section):
     """Zeroing of the accelerometer: coasting at rest in ``phases``, for at least ``ticks`` row periods.
 
@@ -279,7 +263,6 @@ class Estimation(Section):
     phases: Phases | None = None
     zero: Zero | None = None
     gates: Gates = Field(default_factory=Gates.model_construct)
-    memory: MemoryKeys = Field(default_factory=MemoryKeys.model_construct)
     prior: Prior = Field(default_factory=Prior.model_construct)
     masses: Masses | None = None
     motor: dict[str, MotorKeys] = Field(default_factory=dict)

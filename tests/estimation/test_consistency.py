@@ -6,7 +6,7 @@ from scipy.special import stdtrit
 
 from onboard.estimation.errors import RowError, SingularError
 from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, NoiseScale, noise_scale
-from onboard.estimation.recursive.memory import RecursiveLeastSquares
+from onboard.estimation.recursive.least_squares import RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.estimation.smoothing import smooth
 

@@ -31,7 +31,6 @@ TABLES: dict[str, type[Section]] = {
     "[estimation.phases.resumed]": estimation.Resumed,
     "[estimation.zero]": estimation.Zero,
     "[estimation.gates]": estimation.Gates,
-    "[estimation.memory]": estimation.MemoryKeys,
     "[estimation.prior]": estimation.Prior,
     "[estimation.prior.link.NAME]": estimation.Link,
     "[estimation.prior.joint.NAME]": estimation.JointKeys,

@@ -118,7 +118,6 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
         "phases": _M("Table: which phases of the mission are for identification."),
         "zero": _M("Table: where the accelerometer is zeroed."),
         "gates": _M("Table: which rows are refused."),
-        "memory": _M("Table: how long rows count."),
         "prior": _M("Table: what is known beforehand."),
         "masses": _M("Table: masses to report from inertia about a joint."),
         "motor": _M(
@@ -164,10 +163,6 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "Rows further than this from the prediction are refused.", "outliers slip through, or too few do"
         ),
         "huber_sigma": _M("Rows further than this weigh less, by Huber.", "outliers are many and mild"),
-    },
-    estimation.MemoryKeys: {
-        "forgetting_s": _M("A row's weight falls by 1/e in this time.", "the payload changes slowly (fuel, sloshing)"),
-        "window_s": _M("Rows count for this long.", "the same, with a sharp end"),
     },
     estimation.Zero: {
         "phases": _M("Codes of the phases of coasting at rest."),

@@ -1,1 +1,1 @@
-"""The recursive estimators: square-root kernel, window, memory."""
+"""The recursive estimators: square-root kernel, blocks of time."""

@@ -65,28 +65,12 @@ class TimeBlocks:
             return [(self._slots[wanted[0]], slice(None))]
         return [(self._slots[number], np.flatnonzero(index == number)) for number in wanted]
 
-    def fade(self, factor: float) -> None:
-        """Multiplies the weight of all rows so far by ``factor`` (exponential forgetting)."""
-        for part in self.sums:
-            np.multiply(part, factor, out=part)
-
-    def keep_from(self, newest_s: float, blocks: int) -> None:
-        """Drops all but the block of ``newest_s`` and ``blocks`` before it (sliding window)."""
-        first = int(newest_s // self.block_s) - blocks
-        kept = [index for index in self._slots if index >= first]
-        if len(kept) < self.count:
-            self._regroup({index: index for index in kept})
-
     def _double(self) -> None:
         self.block_s *= 2.0
-        self._regroup({index: index // 2 for index in self._slots})
-
-    def _regroup(self, groups: dict[int, int]) -> None:
-        """Adds each block to its new index; blocks without one are dropped."""
         slots: dict[int, int] = {}
         sums = [np.zeros_like(part) for part in self.sums]
-        for index, group in groups.items():
-            new, old = slots.setdefault(group, len(slots)), self._slots[index]
+        for index, old in self._slots.items():
+            new = slots.setdefault(index // 2, len(slots))
             for made, part in zip(sums, self.sums, strict=True):
                 made[new] += part[old]
         self._slots, self.sums = slots, sums

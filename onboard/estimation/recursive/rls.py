@@ -1,9 +1,9 @@
 """Recursive least squares in square-root information form (Bierman 1977; Golub and Van Loan), by LAPACK ``dtpqrt``.
 
 The state is the triangular factor of all rows so far, ``[R R_c z]`` over ``[0 R_cc z_c]`` over ``[0 0 e]``: new rows
-are appended below it and ``dtpqrt`` re-triangularises it in place. The same kernel serves the recursive update,
-exponential forgetting, and the batch solution of hours of rows in constant memory. Information is never formed or
-subtracted, so the covariance stays positive definite over any number of updates.
+are appended below it and ``dtpqrt`` re-triangularises it in place. The same kernel serves the recursive update and the
+batch solution of hours of rows in constant memory. Information is never formed or subtracted, so the covariance stays
+positive definite over any number of updates.
 
 Every row carries, beside its parameter columns:
 
@@ -33,7 +33,7 @@ class Solution(NamedTuple):
     covariance: FloatArray  # (p, p) if rows are independent; else onboard.estimation.recursive.consistency has it
     sensitivity: FloatArray  # (p, k) change of the mean per unit of each considered parameter
     residual_sum: float  # of (residual / sigma)^2, prior rows included: chi-squared, rows - p + prior rows
-    rows: float  # number of rows, each weighted with its forgetting
+    rows: float  # number of rows
 
 
 class Observability(NamedTuple):
@@ -52,18 +52,15 @@ class RlsState(NamedTuple):
     rows: float
 
 
-def merged(triangle: FloatArray, rows: FloatArray, triangular: bool = False) -> FloatArray:
+def merged(triangle: FloatArray, rows: FloatArray) -> FloatArray:
     """Triangular factor of a triangle and further rows, (s, s); both arguments are overwritten.
 
     Args:
         triangle: upper triangular, (s, s), in Fortran's order.
         rows: (m, s), in Fortran's order.
-        triangular: whether ``rows`` is an upper triangle itself.
     """
     size = triangle.shape[0]
-    made, _, _, info = lapack.dtpqrt(
-        size if triangular else 0, min(_BLOCK, size), triangle, rows, overwrite_a=1, overwrite_b=1
-    )
+    made, _, _, info = lapack.dtpqrt(0, min(_BLOCK, size), triangle, rows, overwrite_a=1, overwrite_b=1)
     if info != 0:
         raise AssertionError(f"dtpqrt refused argument {-info}")
     return np.asarray(made, np.float64)
@@ -75,21 +72,16 @@ class SquareRootRls:
     Args:
         parameters: p.
         considered: k, parameters not estimated, whose sigma enters the covariance.
-        forgetting: factor per update call on the information of earlier *rows*, in (0, 1]. The prior is not forgotten,
-            so directions without excitation fall back to it (no covariance wind-up).
 
     Raises:
-        RowError: dimension or factor out of range.
+        RowError: dimension out of range.
     """
 
-    def __init__(self, parameters: int, considered: int = 0, forgetting: float = 1.0) -> None:
+    def __init__(self, parameters: int, considered: int = 0) -> None:
         if parameters < 1 or considered < 0:
             raise RowError(f"{parameters} parameters and {considered} considered; at least 1 and 0")
-        if not 0.0 < forgetting <= 1.0:
-            raise RowError(f"the forgetting factor is {forgetting}; it must be in (0, 1]")
         self.parameters = parameters
         self.considered = considered
-        self.forgetting = forgetting
         self.rows = 0.0
         self._size = parameters + considered + 1
         self._triangle = np.zeros((self._size, self._size), order="F")
@@ -98,7 +90,7 @@ class SquareRootRls:
         self._prior_normal: tuple[FloatArray, FloatArray] | None = None
 
     def prior(self, mean: ArrayLike, sigma: ArrayLike, sensitivity: ArrayLike | None = None) -> None:
-        """Adds the prior, which is not forgotten.
+        """Adds the prior.
 
         Args:
             mean: (p,).
@@ -143,7 +135,6 @@ class SquareRootRls:
         y: FloatArray,
         sigma: FloatArray,
         C: FloatArray | None = None,
-        forgetting: float | None = None,
     ) -> None:
         """Adds a batch of rows.
 
@@ -152,7 +143,6 @@ class SquareRootRls:
             y: (m,).
             sigma: (m,) standard deviation of each row.
             C: (m, k) columns of the considered parameters, ``d y / d c``; required when there are any.
-            forgetting: factor on the information of earlier rows, in (0, 1]; the estimator's where not given.
 
         Raises:
             RowError: wrong shape, number not finite, sigma not positive. The estimator is unchanged then.
@@ -160,15 +150,8 @@ class SquareRootRls:
         rows = self._weighted(Y, y, sigma, C)
         if rows is None:
             return
-        factor = self.forgetting if forgetting is None else forgetting
-        if not 0.0 < factor <= 1.0:
-            raise RowError(f"the forgetting factor is {factor}; it must be in (0, 1]")
-        if factor < 1.0:
-            self._triangle *= np.sqrt(factor)
-            if self._prior_rows.shape[0]:  # restores the prior information reduced by forgetting
-                rows = np.asfortranarray(np.vstack([rows, np.sqrt(1.0 - factor) * self._prior_rows]))
         self._absorb(rows)
-        self.rows = self.rows * factor + y.shape[0]
+        self.rows += y.shape[0]
 
     def consider(self, right: FloatArray) -> None:
         """Replace what prior and rows so far have of the considered parameters.
@@ -185,7 +168,7 @@ class SquareRootRls:
         Raises:
             RowError: see :meth:`prior`.
         """
-        p, made = self.parameters, SquareRootRls(self.parameters, self.considered, self.forgetting)
+        p, made = self.parameters, SquareRootRls(self.parameters, self.considered)
         made.prior(mean, covariance)
         R = self._check_rank()
         (before, right), (known, other) = self.prior_equations(), made.prior_equations()

@@ -5,7 +5,6 @@ from typing import Protocol
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import JackknifeEstimate
-from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import Findings, Quantity
 from onboard.identification.rows.checks.agreement import InstrumentFit, judged_between, judged_fit
@@ -22,7 +21,6 @@ class _Judged(Protocol):
 
     quantities: tuple[Quantity, ...]
     considered: tuple[Considered, ...]
-    memory: Memory
     payload: GraspedPayload | None
 
     @property
@@ -46,8 +44,6 @@ def found(of: _Judged) -> Findings:
     said = against, doubts, told = list[str](), list[str](), [] if of.suspects else list(of.taken.said)
     if of.suspects is None and of.contradicted:
         against.append(of.contradicted)
-    if of.memory != FOR_EVER:  # what was seen is of all times, the estimate is not
-        return Findings(tuple(against), ())
     jackknife = of.block_jackknife()
     judged: list[tuple[Sequence[str], ...]]
     if of.suspects is None:

@@ -15,7 +15,7 @@ from onboard.estimation.gates import GateReason, ReasonArray, ResidualGate, coun
 from onboard.estimation.policy import AGAIN, HALF, contradicted_text
 from onboard.estimation.recursive import jackknives
 from onboard.estimation.recursive.consistency import JackknifeEstimate
-from onboard.estimation.recursive.memory import FOR_EVER, Memory, RecursiveLeastSquares
+from onboard.estimation.recursive.least_squares import RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.change import Change
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Estimate, Findings, Quantity
@@ -53,7 +53,6 @@ class Identifier:
         quantities: what to report besides the base parameters.
         considered: considered parameters.
         residual_sigma: threshold of the residual gate.
-        memory: weighting of earlier rows.
         huber_sigma: innovations beyond so many sigmas weigh less (Huber); none do, where not given.
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
         start: warm start; default: the prior.
@@ -90,7 +89,6 @@ class Identifier:
         quantities: Sequence[Quantity] = (),
         considered: Sequence[Considered] = (),
         residual_sigma: float = 6.0,
-        memory: Memory = FOR_EVER,
         huber_sigma: float | None = None,
         imu_frame: str | None = None,
         start: Start | None = None,
@@ -103,8 +101,7 @@ class Identifier:
         check(considered, model)
         self.model, self.base = model, base
         self.quantities, self.considered = tuple(quantities), tuple(considered)
-        self.memory, self.whitening = memory, whitening
-        self._recorded_apart = recorded_apart and memory == FOR_EVER
+        self.whitening, self._recorded_apart = whitening, recorded_apart
         self._bank = suspects
         p = len(base.names)
         self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
@@ -112,7 +109,7 @@ class Identifier:
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self.payload = grasped_payload(model, base)
         self._weights = np.vstack([np.eye(p), *(q.weights for q in self.quantities)])  # of all that is reported, (r, p)
-        self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s, memory)
+        self.recursion = RecursiveLeastSquares(p, len(self.considered), block_s)
         self._as_stated = Taken.of(self.rls, considered, base, prior_root, model.chi)
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
@@ -129,14 +126,14 @@ class Identifier:
         self._of_motion = of_motion(considered)
         of_errors = p, considered, block_s, [joint.name for joint in model.vehicle.joints], start and start.sensitivity
         self._corrections = FittedCorrections(*of_errors) if free and self._of_motion else None
-        self.fits_errors = self._corrections is not None and memory == FOR_EVER  # the fit is of all times
+        self.fits_errors = self._corrections is not None
         self.errors = ConsideredErrors(considered, model, self._fold, p)
-        if self._of_motion and memory == FOR_EVER:
+        if self._of_motion:
             self.errors.remember(start)
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
-        if stated and not free and not self._scales and start is None and memory == FOR_EVER:
+        if stated and not free and not self._scales and start is None:
             self._stated = StatedSigmas(stated, considered, instruments, base, self._as_stated)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
         self._is_over = False  # no more rows come
@@ -296,9 +293,7 @@ class Identifier:
         return self._taken[1]
 
     def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
-        """How each instrument's rows stand to the estimate of all, ``mean``; none where that forgets."""
-        if self.memory != FOR_EVER:
-            return ()
+        """How each instrument's rows stand to the estimate of all, ``mean``."""
         if self._fitted is None or self._is_due(self._fitted[0]):
             mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
             taken = self.taken.by(self.rls)
@@ -334,7 +329,7 @@ class Identifier:
     @property
     def fitted_errors(self) -> Fitted | None:
         """The considered errors after the rows; None where these are not fitted, but as stated."""
-        if self._corrections is None or not self.fits_errors:
+        if self._corrections is None:
             return None
         if self._corrected is None or self._corrected[0] != self.rows_used:
             mean = self.block_jackknife(exact=True).mean

@@ -11,7 +11,6 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.errors import RowError
 from onboard.estimation.gates import GateReason
 from onboard.estimation.policy import AGAIN
-from onboard.estimation.recursive.memory import Memory
 from onboard.identification.quantities import inertia_about_joint, mass_quantities
 from onboard.identification.rows import identifier as module
 from onboard.identification.rows.identifier import Identifier
@@ -152,23 +151,6 @@ def test_what_is_costly_is_judged_again_of_a_fifth_more_rows_and_at_the_end_of_a
     assert [fit.rows for fit in who.fits()] == [fit.rows for fit in at_once.fits()]
     assert who.findings() == at_once.findings()
     assert who.estimate().quantities == at_once.estimate().quantities
-
-
-def test_a_window_forgets_what_was_held_and_an_identifier_for_ever_does_not(rng):
-    """4 s after the ejection a window of 3 s holds rows without the payload only: it cannot tell the payload."""
-    signals, held, _ = rocksat_flight.flight(rng)
-    short, whole = rocksat_flight.identifier(memory=Memory(window_s=3.0)), rocksat_flight.identifier()
-    for one in (short, whole):
-        rocksat_flight.feed(
-            one,
-            rocksat_flight.part(signals, signals.time_s < rocksat_flight.EJECTION_S + 4.0),
-            held[signals.time_s < rocksat_flight.EJECTION_S + 4.0],
-        )
-    assert 0.8 * 300 < short.rls.rows <= 350  # rows at 100 Hz, some of them between sweeps
-    assert rocksat_flight.by_name(whole.estimate())["m_tip_mass"].supported
-    told = rocksat_flight.by_name(short.estimate())
-    assert told["m_arm"].supported
-    assert not told["m_tip_mass"].supported
 
 
 def test_outliers_that_the_gate_lets_pass_weigh_less_with_huber(rng):

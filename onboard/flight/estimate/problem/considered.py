@@ -126,7 +126,6 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
 
 
 def weighs_suspects(vehicle: config.Vehicle, model: RowModel) -> bool:
-    """Whether the rows are of an arm on a fixed base without motors of unknown friction, and none is forgotten."""
+    """Whether the rows are of an arm on a fixed base without motors of unknown friction, and begin anew."""
     settings = vehicle.file.estimation
-    forgets = settings.memory.forgetting_s is not None or settings.memory.window_s is not None
-    return not (model.vehicle.spec.base.moves or model.motors or forgets or settings.carried)
+    return not (model.vehicle.spec.base.moves or model.motors or settings.carried)

@@ -10,7 +10,6 @@ from onboard import config
 from onboard.devices.roles import LoadCellRole, Roles, TorqueKeys
 from onboard.dynamics.model.errors import UrdfError
 from onboard.dynamics.model.vehicle import STANDARD, VehicleModel
-from onboard.estimation.recursive.memory import FOR_EVER, Memory
 from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.considered import (
     of_bias,
@@ -115,7 +114,7 @@ def with_hypotheses(vehicle: config.Vehicle, online: OnlineIdentifier) -> Online
     """
     phases = vehicle.file.estimation.phases
     cells = [(cell.name, cell.keys) for cell in roles_of(vehicle).cells]
-    if not isinstance(online, Identifier) or online.memory != FOR_EVER:
+    if not isinstance(online, Identifier):
         return online
     place = [
         keys.joint if isinstance(keys, TorqueKeys) else (keys.frame, keys.axis, keys.measures) for _, keys in cells
@@ -245,7 +244,6 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             quantities,
             considered,
             settings.gates.residual_sigma,
-            Memory(settings.memory.forgetting_s, settings.memory.window_s),
             settings.gates.huber_sigma,
             imu_frame=roles.imu.frame if roles.imus else None,
             start=_start(vehicle, base.names) if settings.carried else None,

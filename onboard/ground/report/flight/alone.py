@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate
-from onboard.estimation.recursive.memory import FOR_EVER
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.ground.report.flight.flight_data import SweepData
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE
@@ -32,15 +31,13 @@ class Alone(NamedTuple):
 
 
 def alone(sweep: SweepData, identifier: Identifier) -> list[Alone]:
-    """Every quantity of ``identifier`` by ``sweep`` alone, without those never determined; empty if rows fade.
+    """Every quantity of ``identifier`` by ``sweep`` alone, without those never determined.
 
     Args:
         sweep: sweep with the states of a growing least squares.
         identifier: identifier of the same vehicle without rows, for its prior and quantities.
     """
     size = identifier.rls.parameters + identifier.rls.considered + 1
-    if identifier.memory != FOR_EVER:  # the difference of states is then not the information of the rows
-        return []
     if not identifier.quantities or not sweep.states or len(sweep.states[0]["triangle"]) != size * (size + 1) // 2:
         return []
     start = identifier.rls.state().triangle if sweep.before is None else _square(sweep.before["triangle"], size)
