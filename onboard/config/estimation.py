@@ -229,8 +229,8 @@ class Estimation(Section):
     ``method``: "rows" is least squares on rows of the vehicle's dynamics; "exiddm" predicts the base IMU of a free
         vehicle, estimates the payload, detects capture and ejection; it uses ``imu_prior``, ``exiddm`` and
         ``prior.link``.
-    ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, the steady-state Kalman filter (causal),
-    or its smoother; see :mod:`onboard.estimation.kinematics`. ``lag_ms``: 0.75 times that, where 200 are too few.
+    ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, or the steady-state Kalman smoother;
+    see :mod:`onboard.estimation.kinematics`. ``lag_ms``: 0.75 times that, where 200 are too few.
     ``block_ms``: distance at which errors of rows are taken as independent; default: five times ``smoothing_ms``.
     ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
     "estimated" makes each a parameter, for several cells that measure the same load.
@@ -251,7 +251,7 @@ class Estimation(Section):
     row_rate_hz: Annotated[float, Field(ge=0.1, le=10_000)] = 100
     lag_ms: Annotated[float, Field(ge=1, le=5000)] = LAG_MS
     smoothing_ms: Annotated[float, Field(ge=1, le=5000)] = 100
-    smoothing: Literal["spline", "filter", "smoother"] = "spline"
+    smoothing: Literal["spline", "smoother"] = "spline"
     block_ms: Positive | None = None
     scales: Literal["considered", "estimated"] = "considered"
     row_noise: Literal["white", "by_frequency"] = "white"
@@ -295,7 +295,7 @@ class Estimation(Section):
 
     @model_validator(mode="after")
     def _kernel_is_full(self) -> "Estimation":
-        if self.smoothing == "spline" and self.lag_ms < (half_ms := 0.5 * self.smoothing_ms):
+        if self.lag_ms < (half_ms := 0.5 * self.smoothing_ms):
             raise ValueError(
                 f"lag_ms = {self.lag_ms:g}: a kernel of smoothing_ms = {self.smoothing_ms:g} ends {half_ms:g} ms after "
                 f"its row, so no row would be made; write {LAG_OF_WIDTH * self.smoothing_ms:g}, or take lag_ms out"

@@ -1,21 +1,12 @@
-"""Kernels equivalent to a steady-state Kalman filter and its smoother.
+"""Kernel equivalent to a steady-state Kalman smoother.
 
 The signal model is four integrators driven by white noise (snap of a joint). The steady-state Kalman filter is a fixed
-linear filter; from its poles D two kernels for :class:`onboard.estimation.smoothing.SmoothingWindow` are made:
+linear filter; from its poles D the kernel for :class:`onboard.estimation.smoothing.SmoothingWindow` is made:
+``G(s) G(-s) = 1 / (1 + (s/w)^8)`` with ``G(s) = D(0) / D(s)``, the Rauch-Tung-Striebel smoother away from the ends of a
+record. Its derivatives are consistent by themselves.
 
-- ``FILTER``: ``G(s) = D(0) / D(s)``, causal: only samples before the newest. The filter's estimates of position,
-  rate and acceleration pass three different bands; rows need the *same* operator on both sides, so every derivative is
-  taken of the output of G. G's third derivative is the Kalman filter's estimate of the jerk.
-- ``SMOOTHER``: ``G(s) G(-s) = 1 / (1 + (s/w)^8)``: the Rauch-Tung-Striebel smoother away from the ends of a record. Its
-  derivatives are consistent by themselves.
-
-As window kernels they accept samples at any times and rates, detect gaps and give the noise of every derivative. The
-truncated part of the impulse response beyond the window is some 1e-4.
-
-Known limits: a tick lies in the middle of its window, while the filter's output refers to an instant 0.42 widths after
-it (0.08 before the newest sample), in all channels alike. The filter's second moment about that is not zero: products
-of filtered signals are wrong by the square of its width, where kernels with samples on both sides are by the fourth
-power.
+As a window's kernel it accepts samples at any times and rates, detects gaps and gives the noise of every derivative.
+The truncated part of the impulse response beyond the window is some 1e-4.
 """
 
 from functools import cache
@@ -30,7 +21,7 @@ from onboard.estimation.errors import RowError
 from onboard.estimation.smoothing import Kernel
 
 ORDER = 4  # integrators
-FILTER_BAND, SMOOTHER_BAND = 32.0, 56.0  # the filter's natural frequency times the window's width
+SMOOTHER_BAND = 56.0  # the filter's natural frequency times the window's width
 _POLE_STEP = 0.01  # sample period times band at which the discrete filter approximates the continuous one
 _TRANSITION = expm(np.eye(ORDER, k=1))  # over one sample period, its length the unit of time
 _STEADY = 1e-13  # relative change of the gain taken as converged
@@ -63,25 +54,22 @@ def steady_gain(period_s: float, frequency_rad_s: float) -> FloatArray:
 
 
 class Decay:
-    """Sum of decaying oscillations in the distance from the newest sample, or from the middle on both sides.
+    """Sum of oscillations that decay with the distance from the middle of the window, on both sides.
 
     Args:
         factors: complex, (k,); the real part of the sum is used.
         poles: complex, (k,), per window width.
-        both: even about the middle of the window; else it begins at the newest sample.
         derivative: with respect to the place in the window.
     """
 
-    def __init__(self, factors: ComplexArray, poles: ComplexArray, both: bool, derivative: int = 0) -> None:
-        self._factors, self._poles, self._both, self._derivative = factors, poles, both, derivative
+    def __init__(self, factors: ComplexArray, poles: ComplexArray, derivative: int = 0) -> None:
+        self._factors, self._poles, self._derivative = factors, poles, derivative
 
     def __call__(self, u: FloatArray) -> FloatArray:
         """Values at places -1/2..1/2."""
-        distance = np.abs(u) if self._both else 0.5 - u
-        inner = np.sign(u) if self._both else np.full_like(u, -1.0)  # of the distance's derivative
         factors = self._factors * self._poles**self._derivative
-        waves = factors * np.exp(self._poles * distance[..., None])
-        return np.asarray(waves.sum(axis=-1).real * inner**self._derivative, np.float64)
+        waves = factors * np.exp(self._poles * np.abs(u)[..., None])
+        return np.asarray(waves.sum(axis=-1).real * np.sign(u) ** self._derivative, np.float64)
 
 
 def _poles(frequency: float) -> tuple[ComplexArray, ComplexArray]:
@@ -93,25 +81,14 @@ def _poles(frequency: float) -> tuple[ComplexArray, ComplexArray]:
     return poles, np.prod(poles) / np.prod(apart, axis=1)
 
 
-def _kernel(factors: ComplexArray, poles: ComplexArray, both: bool) -> Kernel:
-    u = np.linspace(-0.5, 0.5, 20_001)
-    values = Decay(factors, poles, both)(u)
-    total = float(np.trapezoid(values, u))
-    first, second = (float(np.trapezoid(values * u**power, u)) / total for power in (1, 2))
-    parts = [Decay(factors / total, poles, both, derivative) for derivative in range(3)]
-    return Kernel((parts[0], parts[1], parts[2]), first, second)
-
-
-@cache
-def filter_kernel() -> Kernel:
-    """Kernel of the steady-state Kalman filter; it ends at the newest sample of the window."""
-    poles, factors = _poles(FILTER_BAND)
-    return _kernel(factors, poles, False)
-
-
 @cache
 def smoother_kernel() -> Kernel:
     """Kernel of the steady-state Rauch-Tung-Striebel smoother."""
     poles, factors = _poles(SMOOTHER_BAND)
     # the autocorrelation of the filter's response
-    return _kernel(factors * (factors / -(poles[:, None] + poles)).sum(axis=1), poles, True)
+    factors = factors * (factors / -(poles[:, None] + poles)).sum(axis=1)
+    u = np.linspace(-0.5, 0.5, 20_001)
+    values = Decay(factors, poles)(u)
+    total = float(np.trapezoid(values, u))
+    parts = [Decay(factors / total, poles, derivative) for derivative in range(3)]
+    return Kernel((parts[0], parts[1], parts[2]), float(np.trapezoid(values * u**2, u)) / total)

@@ -51,24 +51,16 @@ Shape = Callable[[FloatArray], FloatArray]
 class Kernel(NamedTuple):
     """Weighting function of the samples about a tick: ``y(t) = integral K(u) x(t + u W) du`` over -1/2..1/2.
 
-    Its integral is one. With a first moment other than zero the output refers to an instant beside the tick (the lag of
-    a causal filter), the same for every signal.
+    It is even, and its integral is one.
     """
 
     parts: tuple[Shape, Shape, Shape]  # K, K', K''
-    first_moment: float = 0.0
     second_moment: float = 0.0
-
-    @property
-    def reach(self) -> float:
-        """Width of the region centred on its first moment, whose samples correct the quadrature."""
-        return 1.0 - 2.0 * abs(self.first_moment)
 
     @property
     def of_powers(self) -> FloatArray:
         """Value and two derivatives at the tick of the kernel's output for 1, u and u^2, (3, 3)."""
-        m1, m2 = self.first_moment, self.second_moment
-        return np.array([[1.0, m1, m2], [0.0, 1.0, 2.0 * m1], [0.0, 0.0, 2.0]])
+        return np.array([[1.0, 0.0, self.second_moment], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
 
 
 class _Pieces(NamedTuple):
@@ -176,7 +168,7 @@ class SmoothingWindow:
         begin, end = at - 0.5 * width_s, at + 0.5 * width_s
         low, high = times.searchsorted(begin, side="right"), times.searchsorted(end, side="left")
         count = high - low
-        self.valid: BoolArray = count * kernel.reach >= _MIN_SAMPLES  # (n,)
+        self.valid: BoolArray = count >= _MIN_SAMPLES  # (n,)
         length = max(int(count.max(initial=1)), 1)
         self._low, self._length = np.ascontiguousarray(low, np.int64), length
         if not self.valid.any():  # it changes below
@@ -207,9 +199,7 @@ class SmoothingWindow:
         if self.kernel is SPLINE:
             shapes = SPLINE_TOGETHER(u)
         else:
-            about = (u - self.kernel.first_moment) / self.kernel.reach
-            near = BASE(np.clip(about, -0.5, 0.5)) if self.kernel.reach < 1.0 else BASE(about)
-            shapes = np.stack([near, *(part(u) for part in self.kernel.parts)])
+            shapes = np.stack([part(u) for part in (BASE, *self.kernel.parts)])
         given = u, self._cell, shapes, self.valid.astype(np.float64), self.kernel.of_powers
         pointers, out = (library.address(part) for part in given), np.empty(3 * n * (length + 1))
         library.call("heft_weights", n, length, *pointers, self.width_s, out=out)

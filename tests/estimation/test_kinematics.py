@@ -1,4 +1,4 @@
-"""The kernels are filterpy's Kalman filter and its smoother in the steady state; one operator for all derivatives."""
+"""The kernel is filterpy's Kalman smoother in the steady state; one operator for all derivatives."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import expm
 
 from onboard.estimation.errors import RowError
-from onboard.estimation.kinematics import (
-    FILTER_BAND,
-    ORDER,
-    SMOOTHER_BAND,
-    filter_kernel,
-    smoother_kernel,
-    steady_gain,
-)
+from onboard.estimation.kinematics import ORDER, SMOOTHER_BAND, smoother_kernel, steady_gain
 from onboard.estimation.smoothing import SPLINE, SmoothingWindow, correlation_inflation
 
 PERIOD_S, WIDTH_S = 0.001, 0.4
@@ -39,26 +32,11 @@ def angle():
 
 
 def test_the_gain_is_filterpys_in_the_steady_state():
-    kalman = filterpys(FILTER_BAND)
+    kalman = filterpys(SMOOTHER_BAND)
     for _ in range(1500):
         kalman.predict()
         kalman.update(np.zeros(1))
-    np.testing.assert_allclose(steady_gain(PERIOD_S, FILTER_BAND / WIDTH_S), kalman.K[:, 0], rtol=1e-6)
-
-
-def test_the_filters_third_derivative_is_the_kalman_filters_jerk(angle):
-    """What G lets pass, differentiated, is the estimate of the highest state, which has no other way through."""
-    t, _ = angle
-    q = np.sin(4.0 * t) + 0.3 * np.cos(20.0 * t + 1.0)
-    means, *_ = filterpys(FILTER_BAND).batch_filter(q)
-    jerk = means[:, 3, 0]
-    newest = np.arange(1200, 2400)
-    between = t[newest] + 0.5 * PERIOD_S  # a sample's hold
-    ddq = SmoothingWindow(t, between - 0.5 * WIDTH_S, WIDTH_S, kernel=filter_kernel()).apply(q, 2).values
-    by_differences = np.gradient(ddq[:, 0], PERIOD_S)[2:-2]
-    assert (
-        np.abs(by_differences - jerk[newest][2:-2]).max() < 0.04 * np.abs(jerk[newest]).max()
-    )  # band times period: 0.08
+    np.testing.assert_allclose(steady_gain(PERIOD_S, SMOOTHER_BAND / WIDTH_S), kalman.K[:, 0], rtol=1e-6)
 
 
 def test_the_smoother_is_rauch_tung_striebels(angle):
@@ -73,9 +51,9 @@ def test_the_smoother_is_rauch_tung_striebels(angle):
         assert np.abs(window.apply(q, state).values[:, 0] - theirs).max() < close * np.abs(theirs).max()
 
 
-@pytest.mark.parametrize("kernel", [SPLINE, filter_kernel(), smoother_kernel()])
+@pytest.mark.parametrize("kernel", [SPLINE, smoother_kernel()])
 def test_one_operator_for_a_signal_and_its_derivatives(rng, kernel):
-    """Filtering q and differentiating is filtering dq and ddq; at uneven times, also of a filter that lags."""
+    """Filtering q and differentiating is filtering dq and ddq; at uneven times."""
     t = np.arange(0.0, 3.0, 0.001) + rng.uniform(0.0, 3e-5, 3000)
     at = np.arange(0.5, 2.5, 0.05)
     w = 7.0
@@ -86,34 +64,23 @@ def test_one_operator_for_a_signal_and_its_derivatives(rng, kernel):
             window.apply(q, derivative).values, window.apply(signal).values, atol=close * w**derivative
         )
     line = window.apply(2.0 + 3.0 * t).values[:, 0]
-    np.testing.assert_allclose(line, 2.0 + 3.0 * (at + kernel.first_moment * WIDTH_S), atol=1e-9)
-
-
-def test_the_filter_knows_nothing_of_what_comes_later(angle):
-    t, q = angle
-    at = np.array([1.5])
-    seen = t <= 1.5 + 0.5 * WIDTH_S
-    for derivative in range(3):
-        whole = SmoothingWindow(t, at, WIDTH_S, kernel=filter_kernel()).apply(q, derivative).values
-        known = SmoothingWindow(t[seen], at, WIDTH_S, kernel=filter_kernel()).apply(q[seen], derivative).values
-        np.testing.assert_allclose(whole, known, rtol=1e-9)
-    assert filter_kernel().first_moment == pytest.approx(0.5 - 2.613 / FILTER_BAND, abs=3e-3)  # Butterworth's delay
+    np.testing.assert_allclose(line, 2.0 + 3.0 * at, atol=1e-9)
 
 
 def test_covariance_is_that_of_the_noise(rng):
     t, at = np.arange(0.0, 1.0, PERIOD_S), np.array([0.5])
     draws = rng.normal(size=(t.size, 3000))
-    for kernel in (filter_kernel(), smoother_kernel()):
+    for kernel in (SPLINE, smoother_kernel()):
         window = SmoothingWindow(t, at, WIDTH_S, kernel=kernel)
         sample = np.cov(np.stack([window.apply(draws, derivative).values[0] for derivative in range(3)]))
         weights = np.stack([window.weights(derivative)[0] for derivative in range(3)])
         scale = np.outer(*[np.sqrt(np.diag(sample))] * 2)
         np.testing.assert_allclose(weights @ weights.T / scale, sample / scale, atol=0.1)
-    assert not SmoothingWindow(np.delete(t, slice(400, 600)), at, WIDTH_S, kernel=filter_kernel()).valid.any()
+    assert not SmoothingWindow(np.delete(t, slice(400, 600)), at, WIDTH_S, kernel=smoother_kernel()).valid.any()
 
 
 def test_a_wider_band_correlates_neighbouring_rows_less():
-    inflation = [correlation_inflation(0.1, 0.005, kernel) for kernel in (filter_kernel(), smoother_kernel())]
+    inflation = [correlation_inflation(0.1, 0.005, kernel) for kernel in (SPLINE, smoother_kernel())]
     assert inflation[0] > inflation[1] > 1.0
 
 

@@ -304,7 +304,7 @@ def test_evidence_of_steps_and_of_each_two(seed):
         assert (np.array(widths) == 1).sum() >= 3
 
 
-@pytest.mark.parametrize("kernel", [smoothing.SPLINE, kinematics.filter_kernel()])
+@pytest.mark.parametrize("kernel", [smoothing.SPLINE, kinematics.smoother_kernel()])
 @pytest.mark.parametrize("seed", range(6))
 def test_samples_under_a_kernel(seed, kernel):
     rng, width_s, gap_s = np.random.default_rng(seed), 0.1, 0.0015
@@ -313,7 +313,7 @@ def test_samples_under_a_kernel(seed, kernel):
     window = smoothing.SmoothingWindow(times, at, width_s, gap_s, kernel)
     low, high = times.searchsorted(at - 0.5 * width_s, "right"), times.searchsorted(at + 0.5 * width_s, "left")
     u, cell, whole = of_smoothing.under(times, at, low, high, width_s, gap_s * (1.0 + 1e-9))
-    assert (window.valid == (whole & ((high - low) * kernel.reach >= 5))).all()
+    assert (window.valid == (whole & (high - low >= 5))).all()
     assert 0 < window.valid.sum() < len(at)
     u, cell = u[window.valid], cell[window.valid]
     if kernel is smoothing.SPLINE:
@@ -321,11 +321,10 @@ def test_samples_under_a_kernel(seed, kernel):
         np.testing.assert_array_equal(smoothing.SPLINE_TOGETHER(u), shapes)
         assert not smoothing.SPLINE_TOGETHER(np.array([-0.51, 0.6, np.inf, np.nan])).any()
     else:
-        about = np.clip((u - kernel.first_moment) / kernel.reach, -0.5, 0.5)
-        shapes = np.stack([smoothing.BASE(about), *(part(u) for part in kernel.parts)])
+        shapes = np.stack([part(u) for part in (smoothing.BASE, *kernel.parts)])
     true = of_smoothing.weights(u, cell, shapes, kernel.of_powers, width_s)
     found = np.stack([window.weights(derivative) for derivative in range(3)], axis=1)
-    near = 1e-11 if kernel is smoothing.SPLINE else 1e-8  # powers of places in a part of the window are nearly alike
+    near = 1e-11
     for ours, theirs in zip(found[window.valid].swapaxes(0, 1), true.swapaxes(0, 1), strict=True):
         same(ours, theirs, near)
     assert not found[~window.valid].any()

@@ -72,7 +72,7 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
         ('base = "prescribed"', 'base = "floating"', "none of free, prescribed, fixed, planar"),
         ("lever_m = 0.040", "lever_mm = 40", "did you mean 'lever_m'"),
         ("step_ms = 100", 'method = "instrumental"\nstep_ms = 100', "none of rows, exiddm"),
-        ("step_ms = 100", 'smoothing = "kalman"\nstep_ms = 100', "none of spline, filter, smoother"),
+        ("step_ms = 100", 'smoothing = "kalman"\nstep_ms = 100', "none of spline, smoother"),
         (
             "[estimation.gates]",
             "[estimation.memory]\nwindow_s = 9\n[estimation.gates]",

@@ -92,8 +92,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "wider for quiet, slow motion or gear ripple; narrower for fast motion",
         ),
         "smoothing": _M(
-            "Kernel: a spline, the steady-state Kalman filter (causal), or its smoother.",
-            "answers are wanted without lag",
+            "Kernel: a spline, or the steady-state Kalman smoother.",
+            "a recording is identified: its rows may wait longer",
         ),
         "block_ms": _M(
             "Rows further apart than this are taken to err independently; five times smoothing_ms if not given.",

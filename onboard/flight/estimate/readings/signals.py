@@ -34,12 +34,11 @@ CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmo
 
 def kernel_of(vehicle: config.Vehicle) -> Kernel:
     """The smoothing kernel that the vehicle file selects."""
-    asked = vehicle.file.estimation.smoothing
-    if asked == "spline":
+    if vehicle.file.estimation.smoothing == "spline":
         return SPLINE
     from onboard.estimation import kinematics  # noqa: PLC0415 - filterpy takes most of a second to import
 
-    return kinematics.filter_kernel() if asked == "filter" else kinematics.smoother_kernel()
+    return kinematics.smoother_kernel()
 
 
 class SignalSmoother:
