@@ -293,25 +293,42 @@ class RowModel:
             for row, column in self.scales:
                 extras[:, row, column - own] = expected[:, row]
         if self._frictions:
-            rate, up = velocity @ self._ratios.T, acceleration @ self._ratios.T
-            of_motors = np.stack([up, rate, np.sign(rate) if friction is None else friction], axis=2)  # (n, motors, 3)
+            of_motors = self._of_motors(velocity, acceleration, friction)
             for row, motor, ratio, column in self._frictions:
                 extras[:, row, column - own : column - own + 3] = ratio * of_motors[:, motor]
         return np.concatenate([made, extras], axis=2) if fold is None else made + extras @ fold.extras
 
+    def _of_motors(self, dq: FloatArray, ddq: FloatArray, friction: FloatArray | None) -> FloatArray:
+        """What the three parameters of each motor are multiplied by, (n, motors, 3)."""
+        rate, up = dq @ self._ratios.T, ddq @ self._ratios.T
+        return np.stack([up, rate, np.sign(rate) if friction is None else friction], axis=2)
+
     def readings(
-        self, chi: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray, force: FloatArray, held: BoolArray
+        self,
+        chi: FloatArray,
+        q: FloatArray,
+        dq: FloatArray,
+        ddq: FloatArray,
+        force: FloatArray,
+        held: BoolArray,
+        friction: FloatArray | None = None,
     ) -> FloatArray:
-        """What parameters of the links make the rows read on a base that stands, (n, rows); biases and scales aside.
+        """What parameters make the rows read on a base that stands, (n, rows); biases and scales aside.
 
         Many times as fast as :meth:`regressor`, where no derivatives by the parameters are wanted.
 
         Args:
-            chi: (10 x links,); it may be of no possible body.
+            chi: (P,) of links and motors; it may be of no possible body.
             q: joint positions, (n, joints).
             dq: joint rates, (n, joints).
             ddq: joint accelerations, (n, joints).
             force: specific force of the base, (n, 3).
             held: (n,) whether the payload is.
+            friction: as of :meth:`regressor`.
         """
-        return self._columns.readings(chi, held, chain_motion(self.vehicle, q, dq, ddq), force)
+        read = self._columns.readings(chi[: self.vehicle.chi.size], held, chain_motion(self.vehicle, q, dq, ddq), force)
+        if self._frictions:
+            of_motors = self._of_motors(dq, ddq, friction)
+            for row, motor, ratio, column in self._frictions:
+                read[:, row] += ratio * (of_motors[:, motor] @ chi[column : column + 3])
+        return read

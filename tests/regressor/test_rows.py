@@ -177,10 +177,11 @@ def test_readings_on_a_base_that_stands_are_the_regressor_times_any_parameters(r
     rows = RowModel(vehicle, [cells[0], *base_force_rows(vehicle), *torques, *base_moment_rows(vehicle), *cells[1:]])
     q, dq, ddq, motion = random_motion(rng, vehicle)
     still, held = np.zeros((6, 3)), np.array([True, False, True, True, False, False])
-    chi = rng.normal(size=vehicle.chi.size)
+    chi, friction = rng.normal(size=len(rows.names)), rng.uniform(-1.0, 1.0, (6, len(rows.motors)))
+    chi[[name.startswith("bias") for name in rows.names]] = 0.0
     motion = BaseMotion(still, still, motion.specific_force_m_s2)
-    truth = rows.regressor(q, dq, ddq, motion, held)[:, :, : chi.size] @ chi
-    found = rows.readings(chi, q, dq, ddq, motion.specific_force_m_s2, held)
+    truth = rows.regressor(q, dq, ddq, motion, held, friction=friction) @ chi
+    found = rows.readings(chi, q, dq, ddq, motion.specific_force_m_s2, held, friction)
     np.testing.assert_allclose(found, truth, atol=1e-12 * np.abs(truth).max())
 
 

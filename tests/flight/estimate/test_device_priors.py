@@ -6,6 +6,7 @@ import pytest
 
 from onboard import cli, config
 from onboard.devices.roles import TorqueKeys
+from onboard.flight.estimate.problem.considered import weighs_suspects
 from onboard.flight.estimate.problem.identification import build_identifier
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import biases, geometry_prior
@@ -88,3 +89,18 @@ def test_a_cell_drifts_as_stated_or_as_a_silent_file_has_it(tmp_path):
     considered = build_identifier(config.load(path))[0].considered
     sigma = [one.sigma for one in considered if one.effect == "drift"]
     assert sigma == pytest.approx([0.02, 5e-4, 5e-4, 1e-4, 1e-4, 1e-4])
+
+
+@pytest.mark.parametrize(("name", "expected"), [("fixed_arm", True), ("workshop", True), ("rocksat", False)])
+def test_faults_of_an_arm_that_weighs_by_its_motors_compete(name, expected):
+    """As those of one with a wrist sensor do; an arm on a base that moves has parallel identifiers."""
+    vehicle = config.named(name)
+    assert weighs_suspects(vehicle, build_identifier(vehicle)[0].model) is expected
+
+
+def test_faults_of_an_arm_that_was_recorded_do_not_where_its_friction_changes_in_between(tmp_path):
+    assert cli.main(["init", str(tmp_path / "v"), "--base", "fixed", "--encoder", "recorded"]) == cli.OK
+    vehicle = config.load(tmp_path / "v" / "vehicle.toml")
+    model = build_identifier(vehicle)[0].model
+    assert model.motors
+    assert not weighs_suspects(vehicle, model)

@@ -126,6 +126,9 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
 
 
 def weighs_suspects(vehicle: config.Vehicle, model: RowModel) -> bool:
-    """Whether the rows are of an arm on a fixed base without motors of unknown friction, and begin anew."""
-    settings = vehicle.file.estimation
-    return not (model.vehicle.spec.base.moves or model.motors or settings.carried)
+    """Whether the rows are of an arm on a fixed base, and begin anew.
+
+    Gains and friction of motors change between recordings, which no hypothesis says: there what is stated is widened.
+    """
+    apart = bool(model.motors) and vehicle.is_recorded
+    return not (model.vehicle.spec.base.moves or vehicle.file.estimation.carried or apart)

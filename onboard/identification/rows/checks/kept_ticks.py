@@ -20,6 +20,7 @@ class SmoothedTicks(NamedTuple):
     ddq: FloatArray  # (t, j)
     jerk: FloatArray  # (t, j)
     cyclic: FloatArray  # (t, 3, c) functions of the encoders' cyclic errors, and two derivatives
+    friction: FloatArray  # (t, motors) Coulomb friction of each over its level
     force: FloatArray  # (t, 3) specific force of the base, m/s^2
     attached: BoolArray  # (t,) whether the payload is held
     measured: FloatArray  # (t, m), 0 where a row was not used

@@ -115,18 +115,18 @@ class RowsRemade:
         q, dq, ddq, force = self._corrected(ticks, errors)
         still, none = np.zeros_like(force), np.zeros_like(ticks.measured)
         motion = BaseMotion(still, still, force)
-        return self._model.regressor(q, dq, ddq, motion, ticks.attached, predicted=none, fold=self._fold)
+        held, friction = ticks.attached, ticks.friction
+        return self._model.regressor(q, dq, ddq, motion, held, predicted=none, fold=self._fold, friction=friction)
 
     def _changes(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray, moving: Sequence[int]) -> FloatArray:
         """Derivatives of the wrenches before gains by errors of the motion, (s, t, m)."""
         chi = self._known.copy()
         chi[self._independent] += beta
-        links = chi[: self._model.vehicle.chi.size]
-
         cases = [errors, *(errors + _STEP * np.eye(len(errors))[moving])]
         motions = zip(*(self._corrected(ticks, by) for by in cases), strict=True)
         q, dq, ddq, force = (np.concatenate(parts) for parts in motions)
-        read = self._model.readings(links, q, dq, ddq, force, np.tile(ticks.attached, len(cases)))
+        held, friction = np.tile(ticks.attached, len(cases)), np.tile(ticks.friction, (len(cases), 1))
+        read = self._model.readings(chi, q, dq, ddq, force, held, friction)
         about, *changed = read.reshape(len(cases), len(ticks.attached), -1)
         return (np.array(changed) - about) / _STEP
 

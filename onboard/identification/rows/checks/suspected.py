@@ -86,7 +86,7 @@ class ErrorState:
     """Errors of the prior of an arm, ``beta = centre + G L z``, and of its instruments, each over its stated sigma.
 
     Args:
-        model: the rows, of a fixed base, without motors.
+        model: the rows, of a fixed base.
         base: their base parameters.
         prior_root: L of the prior covariance of the standard parameters, (P, P).
         considered: errors that the recursion considers.

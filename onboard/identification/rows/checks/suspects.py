@@ -82,7 +82,7 @@ class RowSuspects:
     """Hypotheses about one model's rows.
 
     Args:
-        model: the rows, of a fixed base, without motors.
+        model: the rows, of a fixed base.
         base: their base parameters.
         prior_root: L of the prior covariance of the standard parameters, (P, P).
         considered: errors that the recursion considers.
@@ -151,7 +151,8 @@ class RowSuspects:
         rate = np.zeros_like(measured) if signals.measured_rate is None else signals.measured_rate[at]
         jerk = rate_of(signals, signals.ddq)[at]
         cyclic = np.zeros((len(signals.q), 3, 0)) if signals.cyclic is None else signals.cyclic
-        motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, cyclic[at]
+        friction = np.zeros((len(signals.q), 0)) if signals.friction is None else signals.friction
+        motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, cyclic[at], friction[at]
         rows = attached, measured, np.where(use, rate, 0.0), weight
         self._kept.add(SmoothedTicks(signals.time_s[at], *motion, signals.motion.specific_force_m_s2[at], *rows))
         held = use[attached].sum()

@@ -22,6 +22,8 @@ from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.rows.row_blocks import RowBlocks
 
+_MOST = 0.25 * float(np.log(np.finfo(np.float64).max))  # logarithm of a gain whose square has a square
+
 
 class _Part(NamedTuple):
     """Rows of one instrument, with the payload or without; sums of ``[Y, C, y, 1]``."""
@@ -184,7 +186,10 @@ class ErrorEquations:
     def _linear(self, part: _Part, X: FloatArray, scaled: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """What multiplies ``[beta, c]``, (p + k + 2, p + e), and what X leaves over, of ``[Y, C, y, 1]``."""
         p, mine = self._p, np.flatnonzero(self._gains[:, part.instrument])
-        bodies, factor = self._bodies, float(np.exp(X[p + mine].sum()))
+        bodies, gain = self._bodies, float(X[p + mine].sum())
+        if not abs(gain) < _MOST:
+            raise np.linalg.LinAlgError("the estimate has gone where no gain is")
+        factor = np.exp(gain)
         J = np.zeros((len(self._columns), len(X)))
         J[:, p:] = self._columns
         np.fill_diagonal(J[:p, :p], 1.0)

@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 from hil_sim.plants.body import Solid
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
+from onboard.identification.rows.checks.suspected import of_no_key
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.standing import standing
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
-from onboard.regressor.rows import BaseMotion, RowModel
+from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row
 from tests.identification.rows import test_grasped as bench
 
 TOOL = Solid.box(1.4, (0.22, 0.05, 0.03), (0.02, 0.06, 0.01))
@@ -54,6 +55,20 @@ def identifier(urdf=bench.URDF, stated=(), more=()):
     extras |= {name: 0.0025 for name in model.names if name.startswith("scale")}
     base, root = base_of(urdf, bool(stated)), prior_root(model, links, extras)
     errors = (*ZEROS, *stated, *more)
+    weighs = RowSuspects(model, base, root, errors)
+    return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=errors, suspects=weighs)
+
+
+def driven(vehicle):
+    """By the torques of five motors with rotors and friction, each torque's scale stated to 1 %."""
+    model = RowModel(vehicle, [joint_torque_row(vehicle, joint.name) for joint in vehicle.joints])
+    links = dict.fromkeys(vehicle.links, 1.0) | {"gripper": 0.01}
+    extras = {"M_tool": 5.0} | {f"{h}_tool": 1.0 for h in ("MX", "MY", "MZ")}
+    extras |= {f"{i}_tool": 0.2 for i in ("XX", "XY", "YY", "XZ", "YZ", "ZZ")}
+    extras |= {name: 1.0 for name in model.names if name[:3] in ("Ia_", "Fv_", "Fc_")}
+    base, root = base_parameters(model, np.random.default_rng(0)), prior_root(model, links, extras)
+    errors = [*ZEROS, *(Considered(f"scale of {row.name}", row.name, "scale", 0.01) for row in model.rows)]
+    errors += of_no_key(errors, model)
     weighs = RowSuspects(model, base, root, errors)
     return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=errors, suspects=weighs)
 

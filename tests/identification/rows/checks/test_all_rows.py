@@ -170,3 +170,11 @@ def test_scores_of_regressors_that_are_noise_are_no_information(rng):
     told = rows.information(rows.at(np.zeros(P + 3)), np.ones(3))
     assert np.linalg.matrix_rank(told.A, 1e-6 * np.abs(told.A).max()) < P
     assert np.abs(told.A @ np.linalg.pinv(told.A, 1e-9) @ told.r - told.r).max() < 1e-6 * np.abs(told.r).max()
+
+
+def test_an_estimate_that_has_gone_where_no_gain_is_ends_the_search(rng):
+    rows = equations(flown(rng))
+    assert np.isfinite(rows.noise(np.array([*BETA, 0.5, 0.0, 0.0]))).all()
+    for gain in (1e3, -1e3, np.nan):
+        with pytest.raises(np.linalg.LinAlgError, match="where no gain is"):
+            rows.noise(np.array([*BETA, gain, 0.0, 0.0]))

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from onboard.dynamics.model.bases import BaseKind
-from onboard.dynamics.model.inertia import elements
+from onboard.dynamics.model.inertia import RigidBody, elements
+from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
@@ -13,7 +14,8 @@ from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
 from onboard.identification.rows.checks.remade import MOVING, RowsRemade, turned
 from onboard.identification.rows.checks.suspected import of_no_key, suspected
 from onboard.identification.rows.stated_errors.considered import Considered
-from onboard.regressor.rows import RowModel, load_cell_row
+from onboard.regressor.base_parameters import base_parameters
+from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row, load_cell_row
 from tests.identification.rows import test_grasped as bench
 from tests.identification.rows.checks.arm_on_bench import (
     HEAVY,
@@ -21,6 +23,7 @@ from tests.identification.rows.checks.arm_on_bench import (
     SCALES,
     TOOL,
     ZEROS,
+    driven,
     fed,
     geared,
     identifier,
@@ -32,10 +35,15 @@ from tests.identification.rows.checks.arm_on_bench import (
 )
 
 
-def test_derivatives_of_remade_rows_are_differences(rng):
-    who = identifier()
-    errors = suspected((*ZEROS, *ONCE_A_TURN), who.model)
-    remade, p = RowsRemade(who.model, who.base, errors), len(who.base.names)
+@pytest.mark.parametrize("driven", [False, True])
+def test_derivatives_of_remade_rows_are_differences(rng, driven):
+    model, base = identifier().model, identifier().base
+    if driven:  # torques of motors with rotors and friction, in place of a cell's axes
+        torques = [joint_torque_row(model.vehicle, joint.name) for joint in model.vehicle.joints]
+        model = RowModel(model.vehicle, torques)
+        base = base_parameters(model, rng)
+    errors, m = suspected((*ZEROS, *ONCE_A_TURN), model), len(model.rows)
+    remade, p = RowsRemade(model, base, errors), len(base.names)
     moving = {"joint_zero", "joint_scale", "joint_delay", "joint_cyclic"}
     assert {one.effect for one in errors} >= moving | {"level", "turned", "step"}
     t = np.linspace(0.0, 5.0, 4)
@@ -45,13 +53,20 @@ def test_derivatives_of_remade_rows_are_differences(rng):
         t,
         *motion,
         rng.uniform(-1.0, 1.0, (4, 3, 10)),
+        rng.uniform(-1.0, 1.0, (4, len(model.motors))),
         force,
         t > 2.0,
-        *(rng.standard_normal((4, 6)) for _ in range(2)),
-        np.ones((4, 6)),
+        *(rng.standard_normal((4, m)) for _ in range(2)),
+        np.ones((4, m)),
     )
     beta, size = rng.standard_normal(p), 0.01
     at = size * rng.standard_normal(len(errors))
+    if driven:
+        chi = np.where(base.grouping.any(axis=0), 0.0, model.chi)
+        chi[base.independent] += beta
+        stands = BaseMotion(*np.zeros((2, 4, 3)), force)
+        read = model.regressor(*motion[:3], stands, ticks.attached, friction=ticks.friction) @ chi
+        np.testing.assert_allclose(remade.at(ticks, beta, 0.0 * at).reading, read, atol=1e-9)
     made = remade.at(ticks, beta, at)
     for k in range(p + len(errors)):
         step = np.zeros(p + len(errors))
@@ -70,8 +85,8 @@ def test_a_late_encoder_is_corrected_to_second_order(rng):
     def ticks(at):
         angle, still = np.outer(at, speed) + 0.5 * np.outer(at**2, up), np.zeros((9, 6))
         motion = angle, speed + np.outer(at, up), np.tile(up, (9, 1)), np.zeros((9, 5))
-        force, none = np.tile([0.0, 0.0, 9.8], (9, 1)), np.zeros((9, 3, 0))
-        return SmoothedTicks(t, *motion, none, force, t > 0.5, still, still, still)
+        force, none = np.tile([0.0, 0.0, 9.8], (9, 1)), (np.zeros((9, 3, 0)), np.zeros((9, 0)))
+        return SmoothedTicks(t, *motion, *none, force, t > 0.5, still, still, still)
 
     late = np.array([late_s * (one.effect == "joint_delay") for one in errors])
     corrected = remade.at(ticks(t - late_s), beta, late).reading
@@ -262,3 +277,26 @@ def test_rows_that_are_made_again_change_with_an_error_as_its_column_says(rng):
     remade = RowsRemade(who.model, who.base, who.considered).at(ticks, beta, np.zeros(len(who.considered)))
     slope = remade.slope[..., len(beta) :]
     np.testing.assert_allclose(slope[..., moving], columns[..., moving], atol=1e-3 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize(("joint", "factor"), [(2, 0.92), pytest.param(3, 1.05, marks=pytest.mark.campaign)])  # another
+def test_an_encoder_of_a_wrong_scale_is_named_of_an_arm_that_weighs_by_its_motors(rng, joint, factor):
+    """Torques by this model's own rows, of MuJoCo's motion; nothing competed with wrong torques there."""
+    true, vehicle = run(), identifier().model.vehicle
+    who = driven(vehicle)
+    chi = who.model.chi.copy()
+    chi[vehicle.payload_columns()] = standard_of(RigidBody(TOOL.mass_kg, TOOL.centre_of_mass_m, TOOL.inertia_kg_m2))
+    for name, value in {"Ia": 0.02, "Fv": 0.3, "Fc": 0.5}.items():
+        chi[[each.startswith(f"{name}_") for each in who.model.names]] = value
+    held = true.time_s > bench.GRASP_S
+    friction = np.tanh(2.0 * true.dq)  # with a way to turn round
+    torque = who.model.regressor(true.q, true.dq, true.ddq, true.motion, held, friction=friction) @ chi
+    sigma = np.full(torque.shape, 0.02)
+    told = true._replace(measured=torque + sigma * rng.standard_normal(torque.shape), sigma=sigma, friction=friction)
+    told = told._replace(measured_rate=np.gradient(torque, true.time_s, axis=0), cyclic=None)
+    bench.feed(who, geared(joint, factor)(told))
+    against, doubts, *_ = who.findings()
+    assert against == ()
+    assert f"scale_joint_{joint}" in doubts[0]
+    weighed = next(one for one in who.estimate().quantities if one.name == "m_tool")
+    assert abs(weighed.value - TOOL.mass_kg) < 3.3 * weighed.sigma < 0.15 * TOOL.mass_kg

@@ -216,7 +216,7 @@ def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
         kept, first = KeptTicks(), 0
         for count in parts:
             t = np.arange(first, first + count, dtype=float)
-            kept.add(SmoothedTicks(t, *(t[:, None] for _ in range(6)), t > 0, *(t[:, None] for _ in range(3))))
+            kept.add(SmoothedTicks(t, *(t[:, None] for _ in range(7)), t > 0, *(t[:, None] for _ in range(3))))
             first += count
         assert kept.every == 16
         np.testing.assert_array_equal(kept.ticks.time_s, np.arange(0.0, 97.0, 16.0))
@@ -228,7 +228,7 @@ def test_what_is_left_over_and_alike_for_long_counts_as_more_noise(rng):
     for k in range(1, 400):
         left[k] = [0.7, 0.0] * left[k - 1] + np.sqrt([0.51, 1.0]) * again[k]
     own = np.zeros((400, 1))
-    ticks = SmoothedTicks(own[:, 0], *(own for _ in range(6)), own[:, 0] > 0, left, own, np.ones((400, 2)))
+    ticks = SmoothedTicks(own[:, 0], *(own for _ in range(7)), own[:, 0] > 0, left, own, np.ones((400, 2)))
     alike, white = suspects._Left(np.zeros((400, 2, 1)), left, ticks).noise(np.zeros(1), np.ones(2), 1)
     assert 3.0 < alike < 8.0  # (1 + r) / (1 - r) is 5.7
     assert white < 1.4
