@@ -1,15 +1,14 @@
-"""Recursive least squares with block-jackknife intervals: a square-root recursion, and its rows by blocks of time."""
+"""Recursive least squares: a square-root recursion, and its rows by blocks of time, of which intervals are made."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate, corrected_mean, innovation
+from onboard.estimation.recursive.consistency import BlockScores, corrected_mean, innovation
 from onboard.estimation.recursive.rls import SquareRootRls
 
 
 class RecursiveLeastSquares:
-    """Least squares with block-jackknife intervals.
+    """Least squares, its rows kept for block-jackknife intervals.
 
     Args:
         parameters: p.
@@ -75,7 +74,3 @@ class RecursiveLeastSquares:
     def least_squares(self) -> FloatArray:
         """Least squares estimate corrected for known regressor noise, (p,): the mean that intervals are about."""
         return corrected_mean(self.rls, self.blocks)
-
-    def block_jackknife(self, considered_sigma: ArrayLike = ()) -> JackknifeEstimate:
-        """The estimate with its block-jackknife covariance; see :class:`JackknifeEstimate`."""
-        return JackknifeEstimate(self.rls, self.blocks, considered_sigma)

@@ -12,6 +12,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredi
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
+from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import URDF
 
@@ -61,3 +62,12 @@ def jumped(ticks, at_s, scale, zero):
 
 def same_bits(a, b):
     return a.state.tobytes() == b.state.tobytes() and a.covariance.tobytes() == b.covariance.tobytes()
+
+
+def solved(predictor, ticks, hypothesis, start=None):
+    """The solve at its end, and how many ticks it has predicted."""
+    prior = np.zeros(len(predictor.names)), np.diag(np.nan_to_num(predictor.sigma) ** 2)
+    solve, predicted = WindowSolve(predictor, WIDE, ticks, prior, (hypothesis,), start), 0
+    while not solve.over:
+        predicted += solve.advance()
+    return solve, predicted
