@@ -54,8 +54,11 @@ def _report(text: str) -> tuple[int, float, int]:
     return int(units[-1]), float(seconds[-1]), int(kept[-1]) if kept else 0
 
 
-def run_leg(name: str, corpus: Path, seed: int, seconds: int) -> None:
-    """Fuzz in this process, which ends with it. Its report goes to stderr, findings (place, tab, file) to stdout."""
+def run_leg(name: str, corpus: Path, seed: int, **limit: int) -> None:
+    """Fuzz in this process, which ends with it. Its report goes to stderr, findings (place, tab, file) to stdout.
+
+    ``limit`` is libFuzzer's: ``max_total_time`` in s, or ``runs``, which finds the same on any computer.
+    """
     atheris = importlib.import_module("atheris")  # it may not be there, and ships no type hints
     from bench.fuzzing import target as of  # noqa: PLC0415 - what is ours is instrumented as they are imported
 
@@ -74,15 +77,15 @@ def run_leg(name: str, corpus: Path, seed: int, seconds: int) -> None:
         (corpus / f"seed_{number}").write_bytes(data)
     options = {
         "seed": seed,
-        "max_total_time": seconds,
         "max_len": target.most_bytes,
         "timeout": round(6 * HANG_S),
         "print_final_stats": 1,
         "artifact_prefix": f"{FOLDER / name}/",
+        **limit,
     }
     atheris.Setup([sys.argv[0], *(f"-{key}={value}" for key, value in options.items()), str(corpus)], one)
     atheris.Fuzz()
 
 
 if __name__ == "__main__":
-    run_leg(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
+    run_leg(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), max_total_time=int(sys.argv[4]))

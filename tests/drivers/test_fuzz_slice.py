@@ -115,7 +115,7 @@ def target(name):
     return bench.fuzzing.Target(planted, [b"t08001\\rt2812AABB\\r"], 1024)
 
 bench.fuzzing.target, atheris_engine.FOLDER = target, Path({str(tmp_path)!r})
-atheris_engine.run_leg("planted", Path({str(tmp_path / "corpus")!r}), 1, 3)
+atheris_engine.run_leg("planted", Path({str(tmp_path / "corpus")!r}), 1, runs=5000)
 """
     (tmp_path / "corpus").mkdir()
     (tmp_path / "planted").mkdir()
