@@ -70,6 +70,7 @@ def delayed(root: Path, delay_ms: float) -> Path:
         text = re.sub(r'column = "joint_link_(\d)_torque"', r'column = "tau\1"', text)
         text = re.sub(r'column = "joint_link_(\d)"', r'column = "q\1"', text)
         text = text.replace("still_rad_s = 0.02", f"still_rad_s = 0.02\ndelay_ms = {delay_ms}")
+        text = text.replace("# smoothing_ms = 100 ", "smoothing_ms = 100 ")  # in one band, with the delay and without
         path.write_text(text)
     logs = root / "logs"
     assert cli.main(["import", str(root / "v" / "import.toml"), str(root / "late.csv"), "-o", str(logs)]) == cli.OK

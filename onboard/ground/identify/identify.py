@@ -239,6 +239,7 @@ def _one(
         throw=thrown,
         observability=observed_directions(who.taken.rls.observability(), who.base.names),
         essential=_essential(who, estimate),
+        as_read=dict(zip(who.base.names, of_bodies.tolist(), strict=True)),
         budget={} if thrown is not None else budget(who),
         left_over=kept.left_over(of_bodies) if roles_of(vehicle).cells else {},
         band_Hz=1e3 * CUTS_OFF / vehicle.file.estimation.smoothing_ms,
@@ -316,7 +317,7 @@ def predict(vehicle: config.Vehicle, found: Identified, other: Path) -> HeldOutF
     for _ in feed_rows(estimator, LogReader(other)):
         pass
     who = estimator.identifier
-    values = {answer.name: answer.value for answer in found.answers}
+    values = found.as_read
     if not who.rows_used or not values:
         which = other if values else found.log
         raise ChannelError(f"{which} has no row that could be used; heft identify says why")

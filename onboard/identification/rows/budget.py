@@ -21,11 +21,14 @@ def budget(identifier: Identifier) -> Mapping[str, tuple[Contribution, ...]]:
     if not weights:
         return {}
     w = np.vstack(weights)
+    if (by := identifier.by_errors) is not None:
+        sigma = jackknife.combination(w).sigma
+        return dict(zip(names, by.causes.budget(by.causes.effects(w @ by.along), sigma), strict=True))
     parts = dict(zip((ROWS, STATED, REGRESSOR), jackknife.parts(w), strict=True))
     causes = jackknife.causes(w)
     for cause, effect in zip(identifier.considered, causes.T, strict=True):
         parts[cause.key or cause.name] = np.hypot(parts.get(cause.key or cause.name, 0.0), effect)
-    for fit in identifier.fits(jackknife.mean):
+    for fit in identifier.fits():
         for tested, what in ((fit.step, "a step"), (fit.gain, "an error")):
             if tested is not None:
                 parts[f"{fit.instrument}: {what} of its gain"] = np.abs(w @ tested.suspected)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.identification.corrections import doubtful, too_large
 from onboard.identification.quantities import Findings, Quantity
@@ -34,7 +33,7 @@ class _Judged(Protocol):
     @property
     def fitted_errors(self) -> Fitted | None: ...
     def block_jackknife(self, exact: bool = False) -> JackknifeEstimate: ...
-    def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]: ...
+    def fits(self) -> tuple[InstrumentFit, ...]: ...
     def scales(self, jackknife: JackknifeEstimate) -> dict[str, float]: ...
     def contradiction(self, jackknife: JackknifeEstimate) -> str: ...
 
@@ -47,7 +46,7 @@ def found(of: _Judged) -> Findings:
     jackknife = of.block_jackknife()
     judged: list[tuple[Sequence[str], ...]]
     if of.suspects is None:
-        fits = of.fits(jackknife.mean)
+        fits = of.fits()
         judged = [*(judged_fit(fit, of.correlation) for fit in fits), judged_between(fits)]
     else:
         judged = [of.suspects.judged()]

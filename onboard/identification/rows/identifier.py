@@ -31,7 +31,7 @@ from onboard.identification.rows.stated_errors.considered_errors import Consider
 from onboard.identification.rows.stated_errors.drawing import Unstated, answered, off_drawing, unstated
 from onboard.identification.rows.stated_errors.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.stated_errors.scales import estimated_scales, fill_scales
-from onboard.identification.rows.stated_errors.stated import Stated, StatedSigmas, Taken
+from onboard.identification.rows.stated_errors.stated import ByErrors, Stated, StatedSigmas, Taken
 from onboard.identification.rows.stated_errors.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.noise import RowNoise
@@ -134,7 +134,8 @@ class Identifier:
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
         if stated and not free and not self._scales and start is None:
-            self._stated = StatedSigmas(stated, considered, instruments, base, self._as_stated)
+            of_file, alone = (stated, considered, instruments, base, self._as_stated), recorded_apart and not suspects
+            self._stated = StatedSigmas(*of_file, estimates=alone)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
         self._is_over = False  # no more rows come
 
@@ -292,10 +293,15 @@ class Identifier:
             self._taken = self.rows_used, self._stated.taken(self._as_stated, *asked)
         return self._taken[1]
 
-    def fits(self, mean: FloatArray | None = None) -> tuple[InstrumentFit, ...]:
-        """How each instrument's rows stand to the estimate of all, ``mean``."""
+    @property
+    def by_errors(self) -> ByErrors | None:
+        """The answer with errors of recorded torques estimated beside it, where there is one."""
+        return self.taken.answer
+
+    def fits(self) -> tuple[InstrumentFit, ...]:
+        """How each instrument's rows stand to the estimate of all with gains as stated."""
         if self._fitted is None or self._is_due(self._fitted[0]):
-            mean, drawn = self.block_jackknife().mean if mean is None else mean, self.base.value(self.model.chi)
+            mean, drawn = self._recursions(False).mean, self.base.value(self.model.chi)
             taken = self.taken.by(self.rls)
             plain, prior = taken.rls.solve().mean, taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self.base.of_bodies
@@ -322,7 +328,7 @@ class Identifier:
 
     def unstated(self, jackknife: JackknifeEstimate) -> Unstated:
         """What errors that no key states do to the estimate: suspected steps, and scales off the drawing."""
-        steps = [] if self.suspects else [one for fit in self.fits(jackknife.mean) for one in fit.suspected]
+        steps = [] if self.suspects else [one for fit in self.fits() for one in fit.suspected]
         body, prior = np.where(self.base.of_bodies, jackknife.mean, 0.0), self.taken.rls.prior_equations()[0]
         return Unstated.of(steps, unstated(self.quantities, jackknife, self.seen, body, prior))
 
@@ -342,9 +348,12 @@ class Identifier:
 
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
-        made = jackknives.last(self, exact, self._block_jackknife)
-        answer = None if exact or self.suspects is None else self.suspects.answer
+        made = self._recursions(exact)
+        answer = None if exact else self.suspects.answer if self.suspects else self.by_errors and self.by_errors.known
         return made if answer is None else made.instead(answer)
+
+    def _recursions(self, exact: bool) -> JackknifeEstimate:
+        return jackknives.last(self, exact, self._block_jackknife)
 
     def _block_jackknife(self, exact: bool) -> JackknifeEstimate:
         taken = self.taken.by(self.rls)

@@ -14,6 +14,7 @@ _OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
     ("gyro", "gyro", "gyro_scale", "gyro_misalignment", "gyro_delay"),
     ("accel", "accelerometer", "accelerometer_scale", "accelerometer_misalignment", "accelerometer_delay"),
 )
+_WARMER = 0.005  # of all torques with the payload: magnets lose 0.1 % a kelvin (NdFeB), of five between two recordings
 COMMON_SHARE = 0.5  # of the variance of each gain, of which no data sheet gives it: see :func:`of_gains`
 
 
@@ -90,7 +91,7 @@ def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
     return found
 
 
-def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
+def of_gains(found: Sequence[Considered], roles: Roles, *, recorded: bool) -> list[Considered]:
     """The same with half of the variance of the torques' gains in one factor on all of them.
 
     Torque constants of an arm come from one source (a data sheet, a gear's efficiency, the magnets' temperature), so
@@ -100,6 +101,7 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
     Args:
         found: errors of all cells.
         roles: of the devices.
+        recorded: with the payload at another time than without.
     """
     scales = [cause for cause in found if cause.effect == "scale" and cause.sigma > 0.0]
     by_torque = all(isinstance(cell.keys, TorqueKeys) for cell in roles.cells)
@@ -107,7 +109,9 @@ def of_gains(found: Sequence[Considered], roles: Roles) -> list[Considered]:
         return list(found)
     common = min(cause.sigma for cause in scales) * COMMON_SHARE**0.5
     own = [cause._replace(sigma=(cause.sigma**2 - common**2) ** 0.5) if cause in scales else cause for cause in found]
-    return [*own, Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques")]
+    own.append(Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques"))
+    what, key = "scale of all torques with the payload", "between_recordings_sigma of all torques"
+    return [*own, Considered(what, "", "held_scale", _WARMER, key)] if recorded else own
 
 
 def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:

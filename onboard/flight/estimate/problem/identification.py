@@ -209,7 +209,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             rows.append(_cell_row(cell, model, scaled))
             considered += of_cell(cell, scaled=scaled)
             scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
-        considered = [*of_gains(considered, roles), *of_motion(roles, model)]
+        considered = [*of_gains(considered, roles, recorded=vehicle.is_recorded), *of_motion(roles, model)]
         zero_force, gyro_bias = biases(vehicle)
         if roles.imus:
             left = settings.imu_prior.model_copy(update={"gyro_bias_rad_s": gyro_bias})

@@ -77,6 +77,7 @@ class Identified:
     observability: ObservedDirections | None = None
     standings: Mapping[str, Standing] = field(default_factory=dict)  # of each answer that the data determine
     essential: tuple[str, ...] = ()  # base parameters that differ from zero
+    as_read: dict[str, float] = field(default_factory=dict)  # base parameters of what instruments read, gains as stated
     links: tuple[LinkEstimate, ...] = field(default=())
     drawing: tuple[FittedLink, ...] = ()  # all but the payload, with sigmas that a vehicle file can state
     budget: Mapping[str, tuple[Contribution, ...]] = field(default_factory=dict)  # what makes each answer so wide

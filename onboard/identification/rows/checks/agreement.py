@@ -24,7 +24,7 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import FARTHEST_SIZE, LIKELY_SIZE, MISFIT_PART, MOSTLY, REFUSE, of_each
 from onboard.identification.rows.checks.gain import Blocks, GainError, GainTests
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.considered import OF_GAIN, Considered
 
 _NONE, _EXACT = np.zeros(0), 1e-12  # no considered errors; sigma of one of which the file states none
 MOST_UNEXPLAINED = FARTHEST_SIZE * LIKELY_SIZE  # of what was measured, left over by the fit: by the farthest scale
@@ -146,7 +146,7 @@ def _part(times_s: FloatArray, of_rows: FloatArray, noise: FloatArray, v: FloatA
 
 def but_gains(sigma: FloatArray, considered: Sequence[Considered]) -> FloatArray:
     """Sigmas of considered errors, (k,), those of gains zero."""
-    return np.where([cause.effect in ("scale", "held_scale") for cause in considered], 0.0, sigma)
+    return np.where([cause.effect in OF_GAIN for cause in considered], 0.0, sigma)
 
 
 def with_stated(fits: Sequence[InstrumentFit], considered: Sequence[Considered]) -> tuple[InstrumentFit, ...]:

@@ -9,9 +9,9 @@ All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with 
 those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
 stated. Equations are, where scales are stated, the sums over all rows
-(:mod:`onboard.identification.rows.checks.all_rows`), and what these are beyond linear where angles are likelier wrong
-(:mod:`onboard.identification.rows.checks.beyond_linear`). Where scales are estimated, where rows contradict each other,
-or where that leaves more over than is doubted of noise, they are rows of kept ticks that are made again
+(:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these are beyond linear where angles are likelier
+wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where scales are estimated, where rows contradict each
+other, or where that leaves more over than is doubted of noise, they are rows of kept ticks that are made again
 (:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
@@ -45,12 +45,12 @@ from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
-from onboard.identification.rows.checks.all_rows import ROUNDS, SETTLED, explained
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.remade import RowsRemade
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED, explained
 from onboard.identification.rows.stated_errors.considered import Considered, rate_of
 from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors
 from onboard.identification.rows.stated_errors.equations import ErrorEquations

@@ -31,7 +31,8 @@ OfImu = Literal[
 ]
 Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
 Effect = OfRow | OfJoint | OfImu | Suspected
-_OF_ROW = ("scale", "held_scale", "delay", "drift")
+OF_GAIN = ("scale", "held_scale")
+_OF_ROW = (*OF_GAIN, "delay", "drift")
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay", "joint_cyclic")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
 _STEP_S = 1e-4  # of a delay
@@ -45,7 +46,7 @@ class Considered(NamedTuple):
     """
 
     name: str
-    row: str  # of a load cell; of a joint, its name; of the IMU, its frame; "" of a scale that is common to all rows
+    row: str  # of a load cell; of a joint, its name; of the IMU, its frame; "" of a scale of all rows
     effect: Effect
     sigma: float  # relative for a scale, rad for a zero or misalignment, s for a delay, rad/s or m/s^2 for a bias, N/s
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
@@ -54,8 +55,8 @@ class Considered(NamedTuple):
 
     @property
     def is_common(self) -> bool:
-        """Whether it is a scale of all rows."""
-        return self.effect == "scale" and not self.row
+        """Whether it is a scale of all rows, or of all with the payload."""
+        return self.effect in OF_GAIN and not self.row
 
     @property
     def stated(self) -> str:
@@ -126,13 +127,10 @@ def columns(
     D = np.zeros((*use.shape, len(considered), parameters + 1))
     misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
     for k, cause in enumerate(considered):
-        if cause.is_common:
-            D[..., k, -1] = signals.measured[at]
-        elif cause.effect == "scale":
-            D[:, names.index(cause.row), k, -1] = signals.measured[at, names.index(cause.row)]
-        elif cause.effect == "held_scale":
-            row = names.index(cause.row)
-            D[:, row, k, -1] = np.where(attached[at], signals.measured[at, row], 0.0)
+        if cause.effect in OF_GAIN:
+            rows = slice(None) if cause.is_common else [names.index(cause.row)]
+            reads = signals.measured[at][:, rows]
+            D[:, rows, k, -1] = reads if cause.effect == "scale" else np.where(attached[at, None], reads, 0.0)
         elif cause.effect == "drift":
             D[:, names.index(cause.row), k, -1] = signals.time_s[at]
         elif cause.effect == "delay":

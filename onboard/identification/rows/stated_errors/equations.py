@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -28,6 +28,7 @@ _MOST = 0.25 * float(np.log(np.finfo(np.float64).max))  # logarithm of a gain wh
 class _Part(NamedTuple):
     """Rows of one instrument, with the payload or without; sums of ``[Y, C, y, 1]``."""
 
+    held: bool
     instrument: int
     times_s: FloatArray  # when each block begins, (b,)
     blocks: FloatArray  # (b, p + k + 2, p + k + 2) without the noise of the regressor
@@ -46,6 +47,7 @@ class RowErrors(NamedTuple):
         columns: its place among the errors that the recursion considers; -1 of one that has no column there, (e,).
         gains: which of them multiply what each instrument should read, (e, instruments).
         bodies: which base parameters these multiply, (p,).
+        held: which gains are of rows with the payload alone.
     """
 
     half: FloatArray
@@ -54,6 +56,12 @@ class RowErrors(NamedTuple):
     columns: Sequence[int]
     gains: BoolArray
     bodies: BoolArray
+    held: Sequence[int] = ()
+
+    @property
+    def common(self) -> IndexArray:
+        """Those that multiply all rows."""
+        return np.setdiff1d(np.flatnonzero(self.gains.all(axis=1)), self.held)
 
 
 class Information(NamedTuple):
@@ -104,29 +112,33 @@ class ErrorEquations:
 
     Attributes:
         share: of the rows, that are taken in.
+        least_share: the same of rows with the payload or of those without, whichever is the smaller.
     """
 
     def __init__(self, seen: RowBlocks, errors: RowErrors, correlation: float, since_s: float = -np.inf) -> None:
-        self._correlation, self._gains, self._bodies = correlation, errors.gains, np.flatnonzero(errors.bodies)
+        self._correlation, self._gains, self._common = correlation, errors.gains, errors.common
+        self._bodies = np.flatnonzero(errors.bodies)
+        self._of_all = ~np.isin(np.arange(len(errors.sigma)), errors.held)
         p = len(errors.centre)
         self._p, self._drawn = p, np.append(errors.centre, np.zeros(len(errors.sigma)))
         self._L = block_diag(errors.half, np.diag(errors.sigma))  # (p + e, n + e)
         self._columns = np.zeros((p + seen.considered + 2, len(errors.sigma)))
         has = np.flatnonzero((np.array(errors.columns, np.intp) >= 0) & ~errors.gains.any(axis=1))
         self._columns[p + np.array(errors.columns, np.intp)[has], has] = 1.0
-        self._parts, rows = list[_Part](), np.zeros(2)
+        self._parts, rows = list[_Part](), np.zeros((2, 2))
         for part in seen.parts:
             blocks, noise = seen.with_errors(*part)
             times_s = seen.times_s(*part)
             late = times_s >= since_s
             count = blocks[:, -1, -1]
-            rows += count.sum(), count[late].sum()
+            rows[int(part[0])] += count.sum(), count[late].sum()
             if late.any():
                 blocks, own = blocks[late], seen.own(*part) * float(count[late].sum() / count.sum())
                 self._parts.append(
-                    _Part(part[1], times_s[late], blocks, blocks.sum(axis=0), noise[late].sum(axis=0), own)
+                    _Part(*part, times_s[late], blocks, blocks.sum(axis=0), noise[late].sum(axis=0), own)
                 )
-        self.share = float(rows[1] / max(rows[0], 1.0))
+        shares = [taken / whole for whole, taken in (rows.sum(axis=0), *rows) if whole]
+        self.share, self.least_share = (float(min(some, default=0.0)) for some in (shares[:1], shares))
 
     def at(self, x: FloatArray) -> FloatArray:
         """Base parameters and errors of instruments in their units, X (p + e,), by the state, (s,)."""
@@ -185,7 +197,7 @@ class ErrorEquations:
 
     def _linear(self, part: _Part, X: FloatArray, scaled: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """What multiplies ``[beta, c]``, (p + k + 2, p + e), and what X leaves over, of ``[Y, C, y, 1]``."""
-        p, mine = self._p, np.flatnonzero(self._gains[:, part.instrument])
+        p, mine = self._p, np.flatnonzero(self._gains[:, part.instrument] & (self._of_all | part.held))
         bodies, gain = self._bodies, float(X[p + mine].sum())
         if not abs(gain) < _MOST:
             raise np.linalg.LinAlgError("the estimate has gone where no gain is")
@@ -200,5 +212,5 @@ class ErrorEquations:
         v[bodies] += (factor - 1.0) * X[bodies]
         v[-2] = -1.0
         if scaled is not None:
-            J[bodies[:, None], p + np.flatnonzero(self._gains.all(axis=1))] = factor * scaled[bodies, None]
+            J[bodies[:, None], p + self._common] = factor * scaled[bodies, None]
         return J, v

@@ -26,7 +26,9 @@ for: the evidence of each hypothesis has Student's density of its errors in plac
 
 Errors of instruments are estimated beside the parameters here
 (:mod:`onboard.identification.rows.stated_errors.equations`), so that what an encoder does to the rows is not given to a
-gain; the estimate itself considers them. Delays are as stated: what they do to rows is made of derivatives, whose noise
+gain. Of recordings that contradict nothing that is the answer: two motors that read one payload tell by how much their
+gains differ, and rows with the payload whether they have changed since those without. Else the recursion's is, which
+considers errors of the sizes found here. Delays are as stated: what they do to rows is made of derivatives, whose noise
 is not that of the rows.
 
 The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
@@ -43,8 +45,11 @@ from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import ITERATIONS, ROUNDS
 from onboard.estimation.policy import HALF, MOSTLY, ODDS
 from onboard.estimation.recursive.rls import SquareRootRls
+from onboard.identification.evidence.mixture import Mixture
+from onboard.identification.leaning import Causes
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated_errors.considered import Considered
+from onboard.identification.rows.stated_errors.all_rows import as_stated
+from onboard.identification.rows.stated_errors.considered import OF_GAIN, Considered
 from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 
@@ -62,6 +67,14 @@ _GAIN = "scale_sigma"  # what is common to all that state an instrument's
 _SETTLED = 0.02  # relative change of a width in a step
 
 
+class ByErrors(NamedTuple):
+    """Base parameters with errors of gains and angles estimated beside them, all as stated."""
+
+    known: Mixture
+    causes: Causes  # the keys of all that is stated
+    along: FloatArray  # (p, s) covariance of the base parameters with each error, in stated sigmas
+
+
 class Taken(NamedTuple):
     """What is taken for granted of what is stated."""
 
@@ -71,6 +84,7 @@ class Taken(NamedTuple):
     centre: FloatArray  # (p,) base parameters as drawn
     covariance: FloatArray  # (p, p) of these
     said: tuple[str, ...] = ()  # which are contradicted
+    answer: "ByErrors | None" = None  # where nothing is contradicted, and rows are linear in these
 
     @classmethod
     def of(
@@ -99,6 +113,7 @@ class StatedSigmas:
         instruments: that make the rows.
         base: the base parameters.
         stated: what is taken for granted if nothing contradicts it.
+        estimates: errors beside the parameters, where nothing does.
     """
 
     def __init__(
@@ -108,15 +123,19 @@ class StatedSigmas:
         instruments: Sequence[str],
         base: BaseParameters,
         stated: Taken,
+        *,
+        estimates: bool = False,
     ) -> None:
-        self._causes = [k for k, one in enumerate(considered) if one.sigma > 0.0 and one.effect != "held_scale"]
+        self._estimates = estimates
+        self._causes = [k for k, one in enumerate(considered) if one.sigma > 0.0]
         causes = [considered[k] for k in self._causes]
         half = base.grouping @ stated.prior_root
         self._active = np.flatnonzero(half.any(axis=0))
-        is_gain = np.array([one.effect == "scale" for one in causes], np.bool_)
+        held = [k for k, one in enumerate(causes) if one.effect == "held_scale"]
+        is_gain = np.array([one.effect in OF_GAIN for one in causes], np.bool_)
         of_all = np.array([one.is_common for one in causes], np.bool_)
         reads = np.array([one.row == name for one in causes for name in instruments], np.bool_)
-        self._base, self._gains = base, np.flatnonzero(is_gain)
+        self._base, self._gains = base, np.setdiff1d(np.flatnonzero(is_gain), held)
         self._errors = RowErrors(
             half[:, self._active],
             stated.centre,
@@ -124,8 +143,10 @@ class StatedSigmas:
             np.where(is_gain, -1, self._causes).astype(int).tolist(),
             is_gain[:, None] & (reads.reshape(len(causes), len(instruments)) | of_all[:, None]),
             base.of_bodies,
+            held,
         )
         kinds_of = [Stated(one.key or one.name, _GAIN if one.effect == "scale" else one.effect) for one in causes]
+        of_all[held] = False
         every = [*(columns[k] for k in self._active.tolist()), *kinds_of]
         self.stated = tuple(dict.fromkeys(every))
         self._key: IndexArray = np.array([self.stated.index(one) for one in every], np.intp)
@@ -149,6 +170,7 @@ class StatedSigmas:
                 gains are all that is looked at of instruments.
         """
         rows = ErrorEquations(blocks, self._errors, correlation, since_s)
+        of_both = rows.least_share >= MOSTLY
         if rows.share < MOSTLY:
             rows = ErrorEquations(blocks, self._errors._replace(columns=[-1] * len(self._causes)), correlation)
         X, active = np.append(mean, np.zeros(len(self._causes))), len(self._active)
@@ -167,7 +189,8 @@ class StatedSigmas:
             of_one += self._evidence(*by_factor, one) - self._evidence(*by_factor, as_it_is)
         least = -np.log(ODDS)
         if max(of_many, of_one) - nothing < least:
-            return stated
+            estimates = self._estimates and of_both
+            return stated._replace(answer=self._answer(rows, many.errors)) if estimates else stated
         width = one.width if of_one - of_many > least else many.width
         said = self._contradicted(A, r, many) if width is many.width else ()
         factors = width[self._key]
@@ -176,7 +199,7 @@ class StatedSigmas:
         considered[self._causes] *= factors[active:]
         if of_many - of_one < least and self._common.any():
             of_gains = self._errors.sigma[self._gains] * one.errors[active + self._gains]
-            common = self._errors.gains[self._gains].all(axis=1)
+            common = np.isin(self._gains, self._errors.common)
             factor = float(of_gains[common].sum() + of_gains[~common].mean())
             at = np.array(self._causes)[self._gains[common]]
             considered[at] = np.maximum(considered[at], abs(factor) / HALF)
@@ -185,13 +208,21 @@ class StatedSigmas:
         rls = stated.rls.with_prior(stated.centre, covariance)
         return Taken(rls, considered, root, stated.centre, covariance, said)
 
+    def _answer(self, rows: ErrorEquations, x: FloatArray) -> ByErrors:
+        """Base parameters with all as stated; begins with the errors x."""
+        half, (x, P) = self._errors.half, as_stated(rows, x)
+        n = half.shape[1]
+        along, keys = half @ P[:n], [self.stated[k].key for k in self._key.tolist()]
+        known = Mixture(np.ones(1), (self._errors.centre + half @ x[:n])[None], (along[:, :n] @ half.T)[None])
+        return ByErrors(known, Causes(keys, np.ones(len(keys))), along)
+
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.
 
         About an estimate that is far from the drawing, a factor would leave the bodies nothing.
         """
         X, bodies = X.copy(), np.flatnonzero(self._errors.bodies)
-        common = len(self._errors.centre) + np.flatnonzero(self._errors.gains.all(axis=1))
+        common = len(self._errors.centre) + self._errors.common
         X[bodies] *= np.exp(X[common].sum())
         X[common] = 0.0
         return self._information(rows, X, width, self._errors.centre)

@@ -18,8 +18,22 @@ ALL = Considered("scale of all torques", "", "scale", 0.01, "scale_sigma of all 
 SCALES = tuple(Considered(f"scale of {cell}", cell, "scale", 0.01, f"{cell} scale_sigma") for cell in CELLS)
 
 
-def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sigma=SIGMA) -> tuple[Taken, Taken]:
-    """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the last parameter."""
+def taken(
+    rng,
+    truth,
+    gains=(1.0, 1.0),
+    noise=None,
+    told=1.0,
+    considered=(),
+    sigma=SIGMA,
+    held_s=0.0,
+    estimates=False,
+    since_s=-np.inf,
+) -> tuple[Taken, Taken]:
+    """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the last parameter.
+
+    From ``held_s`` on the payload is held, whose only parameter is the last one; the last cell then reads 2 % more.
+    """
     n = len(truth)
     base = BaseParameters(tuple("abcdef"[:n]), np.arange(n), np.eye(n), tuple("abcdef"[:n]))
     blocks, rls, drawn = RowBlocks(n, 1.0, CELLS), SquareRootRls(n, len(considered)), np.ones(n)
@@ -28,15 +42,20 @@ def taken(rng, truth, gains=(1.0, 1.0), noise=None, told=1.0, considered=(), sig
     times = np.sort(rng.uniform(0.0, 40.0, 1000))
     for number, gain in enumerate(gains):
         Y = rng.normal(size=(1000, n)) * [*np.ones(n - 1), told]
-        y = gain * (Y @ truth) + (NOISE * rng.normal(size=1000) if noise is None else noise(times, Y))
+        held = times >= held_s
+        Y[~held, -1] = 0.0
+        more = np.where(held & (number == len(gains) - 1) & (held_s > 0.0), 1.02, 1.0)
+        y = gain * more * (Y @ truth) + (NOISE * rng.normal(size=1000) if noise is None else noise(times, Y))
         each = np.full(1000, NOISE)
         C = np.zeros((1000, len(considered)))
         if considered:
-            C[:, [one.row in ("", CELLS[number]) for one in considered]] = y[:, None]
+            mine = [one.row in ("", CELLS[number]) for one in considered]
+            always = [one.effect == "scale" for one in considered]
+            C = np.where(mine, np.where(held[:, None] | always, y[:, None], 0.0), 0.0)
         rls.update(Y, y, each, C if considered else None)
-        blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None)
-    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, stated)
-    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, -np.inf)
+        blocks.add(times, held, np.full(1000, number), Y, y, each, each, None)
+    sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, stated, estimates=estimates)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, since_s)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -138,3 +157,66 @@ def test_what_an_angle_does_is_not_given_to_gains(rng):
     stated, found = of_an_encoder(rng, 25.0)
     assert "scale_sigma: taken" in found.said[0]
     assert (found.considered[:2] > 2.0 * stated.considered[:2]).all()
+
+
+LIGHT = np.array([1e-3, 1.0])  # sigmas of an arm as drawn, and of what it holds
+CHANGED = Considered(
+    "scale of cell_1 with the payload", "cell_1", "held_scale", 0.02, "cell_1 between_recordings_sigma"
+)
+
+
+def test_where_nothing_is_contradicted_gains_are_estimated_beside_the_parameters(rng):
+    """By an arm that is known two gains are, and with them what is held; considered, each gain is 5 % of it."""
+    considered, z = tuple(one._replace(sigma=0.05) for one in SCALES), []
+    for _ in range(30):
+        truth, gains = np.array([1.0 + 1e-3 * rng.normal(), 1.4]), 1.0 + 0.05 * rng.normal(size=2)
+        stated, found = taken(rng, truth, gains, considered=considered, sigma=LIGHT, held_s=1e-9, estimates=True)
+        assert found.answer is not None
+        assert all(one is other for one, other in zip(found[:-1], stated[:-1], strict=True))  # what is stated stays
+        mean, P = found.answer.known.known
+        assert 1e-3 < P[1, 1] ** 0.5 < 2e-3
+        z.append((mean[1] - truth[1]) / P[1, 1] ** 0.5)
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.3
+
+
+@pytest.mark.parametrize("row", [CHANGED.row, ""])
+def test_a_gain_that_changes_between_recordings_is_one_of_the_rows_with_the_payload(rng, row):
+    """Its cell, or each of all, reads 2 % more of these, of which rows without the payload tell nothing."""
+    z = []
+    for considered in (SCALES[:1], (SCALES[0], CHANGED._replace(row=row))):
+        _, made = taken(rng, [1.0, 1.4], (1.0,), considered=considered, sigma=LIGHT, held_s=20.0, estimates=True)
+        assert made.answer is not None, made.said
+        mean, P = made.answer.known.known
+        z.append(abs(mean[1] - 1.4) / P[1, 1] ** 0.5)
+    assert z[1] < 2.0 < 4.0 < z[0]
+    effects = dict(zip(made.answer.causes.names, made.answer.causes.effects(made.answer.along)[1], strict=True))
+    assert effects[CHANGED.key] < 0.1 * effects["prior.link.upper"]  # the arm, which is known, tells it
+
+
+def test_the_answer_is_as_wide_as_blocks_of_time_scatter(rng):
+    """What each second leaves is alike, and forty times what the noise of its rows makes of their mean."""
+    z = []
+    for _ in range(20):
+        alike = 4e-2 * rng.normal(size=(41, 2))
+
+        def slow(times, Y, alike=alike):
+            return np.einsum("ij,ij->i", Y, alike[times.astype(int)])
+
+        truth = np.array([1.0, 1.4])
+        _, found = taken(rng, truth, considered=SCALES, sigma=LIGHT, noise=slow, held_s=1e-9, estimates=True)
+        assert found.answer is not None, found.said
+        mean, P = found.answer.known.known
+        z.append((mean[1] - truth[1]) / P[1, 1] ** 0.5)
+    assert np.sqrt(np.mean(np.square(z))) < 1.4
+
+
+def test_without_rows_of_the_empty_arm_nothing_is_estimated(rng):
+    """They are left out, as what errors do to them was made at another estimate: they told the arm from its load."""
+    known = {"considered": SCALES, "sigma": LIGHT, "held_s": 1e-9, "estimates": True}
+    assert taken(rng, np.array([1.0, 1.4]), **known)[1].answer is not None
+    known["held_s"] = 15.0
+    assert taken(rng, np.array([1.0, 1.4]), **known, since_s=15.0)[1].answer is None
+
+
+def test_what_is_contradicted_is_not_estimated_but_considered_wider(rng):
+    assert taken(rng, np.ones(2), (1.05, 0.95), considered=SCALES, sigma=1.0, estimates=True)[1].answer is None

@@ -5,8 +5,8 @@ import pytest
 
 from onboard.estimation.policy import LIKELY_SIZE, ODDS
 from onboard.identification.evidence.bank import Bank, Suspect
-from onboard.identification.rows.checks.all_rows import explained
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.all_rows import explained
 from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 
 CELLS, P, BLOCK_S = ("a", "b", "c"), 4, 1.0

@@ -12,6 +12,7 @@ import numpy as np
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import FARTHEST_SIZE, MISFIT_PART, MISFIT_REFUSED
 from onboard.identification.evidence.bank import Bank, Weighed
+from onboard.identification.evidence.mixture import Known
 from onboard.identification.rows.stated_errors.equations import ErrorEquations
 
 ROUNDS, SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
@@ -48,6 +49,15 @@ def explained(
         return weighed, None
     x, P = weighed.known(weighed.likeliest)
     return weighed, rows.information(rows.at(x), colour * noise).scatter(P)
+
+
+def as_stated(rows: ErrorEquations, x: FloatArray) -> Known:
+    """State with all as stated, and its covariance with what the scatter of blocks adds; begins with the estimate x."""
+    x, noise = _settled(rows, x, rows.noise(rows.at(x)))
+    told = rows.information(rows.at(x), noise)
+    colour = told.colour()
+    x, P = told.known(colour)
+    return x, P + rows.information(rows.at(x), colour * noise).scatter(P)
 
 
 def _settled(
