@@ -1,13 +1,20 @@
 """What columns may be taken for: how the angles of joints may be read otherwise, and how mistakes compete."""
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations, product
 from typing import NamedTuple
 
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import MISFIT_REFUSED
+
+AXES = tuple(
+    np.array(signs)[:, None] * np.eye(3)[list(order)]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+)
+"""Orders of three axes with signs; as stated first."""
 
 
 def score(left: float, mistakes: int) -> float:
@@ -57,3 +64,15 @@ def exchanged(order: Sequence[int], names: Sequence[str]) -> Iterator[tuple[str,
 def turned(count: int) -> FloatArray:
     """Factors of which one is negative, (count, count)."""
     return 1.0 - 2.0 * np.eye(count)
+
+
+def axes_text(by: FloatArray) -> str:
+    """What axes are, if a signed permutation is to be applied to them."""
+    order, sign = np.abs(by).argmax(axis=1).tolist(), by.sum(axis=1)
+    turned = ["xyz"[k] for k in range(3) if sign[k] < 0.0]
+    if order == [0, 1, 2]:
+        return f"{' and '.join(turned)} count{'s' if len(turned) == 1 else ''} the other way"
+    if (sign > 0.0).all() and sum(at == k for k, at in enumerate(order)) == 1:
+        return " and ".join("xyz"[k] for k in range(3) if order[k] != k) + " are exchanged"
+    axes = ", ".join(f'"{"+-"[int(sign[k] < 0.0)]}{"xyz"[order[k]]}"' for k in range(3))
+    return f"x, y, z are what is read as {axes}"

@@ -8,7 +8,6 @@ Of pairs, those compete in which a joint or a unit takes part: two axes of the I
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY
 from onboard.identification.free_flyer.guesses import ROUGH_WIDTH_s, WIDEST_s
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.misread import JointReading, exchanged, score, turned
+from onboard.identification.misread import AXES, JointReading, axes_text, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu
@@ -32,11 +31,6 @@ _FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut 
 _MOST_SAID = 3
 _NOISE_SEED = 1
 _G_m_s2 = 9.80665
-_AXES = tuple(
-    np.array(signs)[:, None] * np.eye(3)[list(order)]
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-)
 _UNITS = (  # of gyro and accelerometer, and what they are to be multiplied by
     (np.pi / 180.0, 1.0, "the gyro is in deg/s"),
     (180.0 / np.pi, 1.0, "the gyro is in rad/s, and not in deg/s"),
@@ -269,8 +263,8 @@ def _noise(flight: FlightSignals) -> FlightSignals:
 
 def _of_imu(now: FlightReading) -> Iterator[FlightReading]:
     """With one mistake more in how the IMU is read."""
-    for by in _AXES[1:]:
-        said = _axes_text(by)
+    for by in AXES[1:]:
+        said = axes_text(by)
         yield now.also(f"the gyro's {said}", gyro=by @ now.gyro)
         yield now.also(f"the accelerometer's {said}", accelerometer=by @ now.accelerometer)
         yield now.also(f"the IMU's {said}", gyro=by @ now.gyro, accelerometer=by @ now.accelerometer)
@@ -291,15 +285,3 @@ def _of_joints(now: FlightReading, names: Sequence[str]) -> Iterator[FlightReadi
     for pair, order in exchanged(angles.order, names):
         yield now.also(f"{pair} are exchanged", angles=angles._replace(order=order))
     yield from (now.also(said, angles=other) for said, other in angles.in_other_units())
-
-
-def _axes_text(by: FloatArray) -> str:
-    """What axes are, if a signed permutation is to be applied to them."""
-    order, sign = np.abs(by).argmax(axis=1).tolist(), by.sum(axis=1)
-    turned = ["xyz"[k] for k in range(3) if sign[k] < 0.0]
-    if order == [0, 1, 2]:
-        return f"{' and '.join(turned)} count{'s' if len(turned) == 1 else ''} the other way"
-    if (sign > 0.0).all() and sum(at == k for k, at in enumerate(order)) == 1:
-        return " and ".join("xyz"[k] for k in range(3) if order[k] != k) + " are exchanged"
-    axes = ", ".join(f'"{"+-"[int(sign[k] < 0.0)]}{"xyz"[order[k]]}"' for k in range(3))
-    return f"x, y, z are what is read as {axes}"

@@ -52,6 +52,7 @@ def found(of: _Judged) -> Findings:
         judged = [of.suspects.judged()]
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]
     scales, errors = {} if of.suspects else of.scales(jackknife), of.fitted_errors
+    judged.append(((errors.misread,) if errors and errors.misread else (),))
     judged += [(too_large(one), doubtful(one)) for one in (errors.in_sigmas if errors else {}, scales)]
     for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
         texts.extend(more)

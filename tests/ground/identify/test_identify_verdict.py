@@ -143,6 +143,40 @@ def test_a_throw_cut_short_gives_no_answer_and_no_urdf(
     assert not urdf.exists()
 
 
+GENTLE = [4.0, 3.0, -3.0]  # rad/s: noise and the stated errors of the equations hide much of it
+
+
+@pytest.mark.parametrize(
+    ("order", "said_of"),
+    [
+        ([0, 2, 1], "y and z are exchanged"),
+        pytest.param([1, 0, 2], "x and y are exchanged", marks=pytest.mark.campaign),
+        pytest.param([2, 1, 0], "x and z are exchanged", marks=pytest.mark.campaign),
+    ],
+)
+def test_exchanged_axes_of_the_accelerometer_are_named_of_a_gentle_throw(
+    tmp_path: Path, rng: np.random.Generator, order: list[int], said_of: str
+) -> None:
+    def exchange(name: str, rows: Rows) -> None:
+        if name == "imu_base":
+            rows["accel_raw"] = rows["accel_raw"][:, order]
+
+    found = said(altered(throw(tmp_path, GENTLE, rng), exchange))
+    assert found.verdict.level is Level.DO_NOT_USE
+    assert said_of in found.verdict.text
+
+
+def test_a_gyro_axis_ten_per_cent_off_is_named_of_a_gentle_throw(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The noise is a quarter of what is stated of the equations: errors are held against what the rows show of it."""
+
+    def scale(name: str, rows: Rows) -> None:
+        if name == "imu_base":
+            rows["gyro_raw"][:, 0] = np.rint(1.1 * rows["gyro_raw"][:, 0])
+
+    found = said(altered(throw(tmp_path, TUMBLES[0], rng), scale))
+    assert "gyro along x had to be corrected" in found.verdict.text
+
+
 @pytest.mark.parametrize("factor", [pytest.param(0.75, marks=pytest.mark.campaign), 0.85])
 def test_a_gyro_that_reads_another_scale_than_it_was_calibrated_to_is_not_good(
     tmp_path: Path, rng: np.random.Generator, factor: float

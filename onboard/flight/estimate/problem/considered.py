@@ -37,7 +37,11 @@ def of_motion(roles: Roles, model: VehicleModel) -> list[Considered]:
                 found.append(Considered(cyclic, at, "joint_cyclic", rms, axis=next(functions), periods=periods))
     for imu in roles.imus[:1]:
         found += _of_imu(imu)
-    return [cause for cause in found if cause.sigma > 0.0]
+    found = [cause for cause in found if cause.sigma > 0.0]
+    for imu in roles.imus[: model.spec.base.falls]:  # without a sigma: no error, but part of another order of the axes
+        what = f"angle of two axes of {imu.channels[0]}'s accelerometer"
+        found += [Considered(what, imu.frame, "accelerometer_cross_axis", 0.0, axis=axis) for axis in range(3)]
+    return found
 
 
 def _of_imu(imu: ImuRole) -> Iterator[Considered]:

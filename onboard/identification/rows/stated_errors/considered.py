@@ -26,12 +26,15 @@ OfImu = Literal[
     "gyro_bias",
     "accelerometer_scale",
     "accelerometer_misalignment",
+    "accelerometer_cross_axis",
     "accelerometer_delay",
     "accelerometer_bias",
 ]
 Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
 Effect = OfRow | OfJoint | OfImu | Suspected
 OF_GAIN = ("scale", "held_scale")
+OF_AXES = tuple(f"{sensor}_{of}" for sensor in ("gyro", "accelerometer") for of in ("scale", "misalignment"))
+OF_AXES += ("accelerometer_cross_axis",)
 _OF_ROW = (*OF_GAIN, "delay", "drift")
 _OF_JOINT = ("joint_scale", "joint_zero", "joint_delay", "joint_cyclic")
 _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates at most
@@ -137,7 +140,7 @@ def columns(
             if signals.measured_rate is None:
                 raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
             D[:, names.index(cause.row), k, -1] = -signals.measured_rate[at, names.index(cause.row)]
-        elif cause.sigma > 0.0:
+        else:
             step = _STEP_S if cause.effect.endswith("delay") else _STEP
             misread[k] = _misread(signals, cause, model, step, read), step
     if misread:
@@ -177,13 +180,20 @@ def _misread(
         value = parts[index]
         if kind == "delay":
             parts[index] = value - step * (parts[1] if index == 0 else rate_of(signals, value))
-        elif kind == "misalignment":
-            parts[index] = value + step * cross(value, np.eye(3)[cause.axis or 0])
         elif kind == "bias":
             parts[index] = value + step * (np.eye(3)[cause.axis or 0] if index != 1 else np.zeros(3))
         else:
-            parts[index] = value * (1.0 + step * (np.ones(3) if cause.axis is None else np.eye(3)[cause.axis]))
+            parts[index] = value + step * value @ error_of_axes(cause)
     return signals._replace(motion=base_motion(model.vehicle, cause.row, *parts))
+
+
+def error_of_axes(cause: Considered) -> FloatArray:
+    """What an error of one of an IMU's axes, a scale or an angle, adds to a reading v (3,): v @ this, (3, 3)."""
+    axis = np.eye(3) if cause.axis is None else np.diag(np.eye(3)[cause.axis])
+    if cause.effect.endswith("scale"):
+        return axis
+    turned = np.cross(np.eye(3), axis.sum(axis=0))
+    return np.abs(turned) if cause.effect.endswith("cross_axis") else turned
 
 
 def misread_noise(considered: Sequence[Considered], joints: Sequence[str]) -> FloatArray:
@@ -209,11 +219,8 @@ def misread_noise(considered: Sequence[Considered], joints: Sequence[str]) -> Fl
         gyro = cause.effect.startswith("gyro")
         for first in 3 * own + (np.array([0, 3]) if gyro else np.array([6])):
             at = first + np.arange(3)
-            if cause.effect in ("gyro_scale", "accelerometer_scale"):
-                scaled = at if cause.axis is None else at[[cause.axis]]
-                made[k, scaled, scaled] = -1.0
-            elif cause.effect in ("gyro_misalignment", "accelerometer_misalignment"):
-                made[k, at[:, None], at] = -np.cross(np.eye(3), np.eye(3)[cause.axis or 0])
+            if cause.effect in OF_AXES:
+                made[k, at[:, None], at] = -error_of_axes(cause)
     return made
 
 

@@ -8,7 +8,9 @@ rows is scaled by the scores of all blocks of time at this fit, where the errors
 here). Delays stay as stated: their columns are of derivatives, whose noise is not that of the rows.
 
 A changed calibration shows as well: fitted alone, beside the parameters and the other errors within their sigmas, an
-error lies beyond what was stated of it. Rows are summed into blocks of time as in
+error lies beyond what was stated of it. The noise is then as large as all rows show it beside these errors, as what a
+file states of equations is for the fastest motion; but for a bias, which takes up all that is slow in what the model
+leaves, and whose scatter shows nothing of it. Rows are summed into blocks of time as in
 :mod:`onboard.estimation.recursive.consistency`; the scatter of the fit without each block is part of the sigma that it
 is compared with (derived here).
 
@@ -34,11 +36,12 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.maximum_likelihood import OPEN
-from onboard.estimation.policy import HALF, INTERVAL
+from onboard.estimation.policy import HALF, INTERVAL, ODDS_OF_PART, times_text
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
-from onboard.identification.rows.stated_errors.considered import Considered, misread_noise
+from onboard.identification.misread import AXES, axes_text
+from onboard.identification.rows.stated_errors.considered import OF_AXES, Considered, error_of_axes, misread_noise
 from onboard.identification.rows.stated_errors.stated import FREEDOM
 
 _ROUNDS = 4  # of the noise's scale, which settles to a few per cent
@@ -62,6 +65,7 @@ class Fitted(NamedTuple):
     in_sigmas: dict[str, float]  # each that is determined, over its stated sigma and its fit's together
     root: FloatArray  # (k, k) symmetric root of their second moments, in the units of their stated sigmas
     noise: NoiseScale | None = None  # of the rows, beside them; None where none are fitted
+    misread: str = ""  # how the accelerometer's axes are likelier to be read than as stated; empty: no other way
 
 
 class FittedCorrections:
@@ -151,7 +155,9 @@ class FittedCorrections:
         sigma, at = np.where(stated > 0.0, stated, np.finfo(np.float32).tiny), p + fitted
         before, side = self._start.T @ information @ self._start, self._start.T @ right
         prior = before + np.diag(np.concatenate([np.zeros(p), sigma**-2]))
-        whole, total = prior + sums, side + g.sum(axis=0)
+        seen = self._noise(H, g, prior, side)
+        H, g = H / seen, g / seen
+        whole, total = prior + H.sum(axis=0), side + g.sum(axis=0)
         left_out = np.concatenate([whole[None], whole - H])  # all blocks, then all but one
         covariance = np.linalg.inv(left_out)
         found = np.einsum("bij,bj->bi", covariance, np.concatenate([total[None], total - g]))[:, at]
@@ -159,15 +165,18 @@ class FittedCorrections:
         own = np.maximum(1.0 / variance - (1.0 - OPEN**-2) * stated[fitted] ** -2, np.finfo(np.float32).tiny)
         alone = found / variance / own  # (1 + b, k): its own prior opened, by its marginal
         scatter = (len(H) - 1) / len(H) * ((alone[1:] - alone[0]) ** 2).sum(axis=0)
-        taken_off = (covariance[0] @ (blocks.noise @ (covariance[0] @ total) - blocks.noise_moment))[at]
+        taken_off = (covariance[0] @ (blocks.noise @ (covariance[0] @ total) - blocks.noise_moment))[at] / seen
         doubt = NOISE_SIGMA * taken_off / variance[0] / own[0]
-        in_sigmas = alone[0] / np.sqrt(stated[fitted] ** 2 + np.maximum(scatter, 1.0 / own[0]) + doubt**2)
+        slow = np.array([self._causes[k].effect.endswith("bias") for k in fitted])
+        least = np.where(slow, max(1.0, 1.0 / seen), 1.0) / own[0]
+        in_sigmas = alone[0] / np.sqrt(stated[fitted] ** 2 + np.maximum(scatter, least) + doubt**2)
         noise = float(mean @ blocks.noise[:p, :p] @ mean)
         worth = left_over**2, noise
         told = np.array([self._is_told(sums + before, sums[p + k, p + k], int(k), *worth) for k in fitted], np.bool_)
         named = {self._causes[k].name: float(value) for k, value in zip(fitted[told], in_sigmas[told], strict=True)}
         steady = fitted[told & np.array([not self._causes[k].effect.endswith("delay") for k in fitted])]
-        return Fitted(named, *self._second_moments(blocks, prior, side, steady, stated))
+        moments = self._second_moments(blocks, prior, side, steady, stated)
+        return Fitted(named, *moments, self._misread_axes(blocks, before[:p, :p], side[:p]))
 
     def _second_moments(
         self, blocks: BlockScores, prior: FloatArray, right: FloatArray, of: NDArray[np.intp], stated: FloatArray
@@ -198,6 +207,56 @@ class FittedCorrections:
         root = np.diag(stated)
         root[np.ix_(of, of)] = own[:, None] * (V * np.sqrt(np.maximum(values, 0.0)) @ V.T)
         return root, noise
+
+    @staticmethod
+    def _noise(H: FloatArray, g: FloatArray, prior: FloatArray, right: FloatArray) -> float:
+        """Variance of the rows' noise over the stated one, beside all errors.
+
+        Args:
+            H: information of each block on parameters and errors, (b, s, s).
+            g: its right-hand side, (b, s).
+            prior: information beforehand, (s, s).
+            right: its right-hand side, (s,).
+        """
+        noise = 1.0
+        for _ in range(_ROUNDS):
+            P = np.linalg.inv(prior + H.sum(axis=0) / noise)
+            x = P @ (right + g.sum(axis=0) / noise)
+            noise = max(ROUNDING, noise_scale(H, g - H @ x, P / noise).variance)
+        return noise
+
+    def _misread_axes(self, blocks: BlockScores, information: FloatArray, right: FloatArray) -> str:
+        """As what the accelerometer's axes are likelier to be read than as stated; empty: as stated.
+
+        An order of the axes, or another sign of one, is a sum of the nine errors of a triad, in which rows are linear.
+        (Other signs of all nothing tells.) Ways compete by the squares that they leave, the other errors being none,
+        with the noise that the best of them needs.
+
+        Args:
+            blocks: all rows.
+            information: of the prior on the parameters, (p, p).
+            right: its right-hand side, (p,).
+        """
+        p, triad = self._p, [one for one in self._causes if one.effect in OF_AXES[2:] and one.axis is not None]
+        if len(triad) < 9:
+            return ""
+        at, errors = [p + self._causes.index(one) for one in triad], np.stack([error_of_axes(one) for one in triad])
+        ways = np.stack([by for by in AXES if np.count_nonzero(by < 0.0) < 2])
+        c = np.linalg.solve(errors.reshape(9, 9).T, (np.eye(3) - ways.swapaxes(1, 2)).reshape(-1, 9).T)  # (9, ways)
+        N, n = blocks.normal.sum(axis=0), blocks.moment.sum(axis=0)
+        P, b = np.linalg.inv(information + N[:p, :p]), (right + n[:p])[:, None] - N[:p, at] @ c
+        chi = P @ b  # (p, ways)
+        squares = (c * (N[np.ix_(at, at)] @ c - 2.0 * n[at, None])).sum(axis=0) - (b * chi).sum(axis=0)
+        best = int(squares.argmin())
+        H = blocks.normal[:, :p]
+        scores = blocks.moment[:, :p] - H[..., :p] @ chi[:, best] - H[..., at] @ c[:, best]
+        behind = 0.5 * (squares - squares[best]) / max(ROUNDING, noise_scale(H[..., :p], scores, P).variance)
+        if behind[0] <= (least := np.log(len(ways) / ODDS_OF_PART)):
+            return ""
+        near, otherwise = np.flatnonzero(behind <= least), (ways != np.eye(3)).any(axis=2).sum(axis=1)
+        fewest = near[otherwise[near] == otherwise[near].min()]
+        said = ", or ".join(axes_text(by) for by in ways[fewest[behind[fewest].argsort()]])
+        return f"it is {times_text(behind[0])} times likelier that the accelerometer's {said}: correct the mapping"
 
     def _is_told(self, sums: FloatArray, power: float, k: int, left_over: float, noise: float) -> bool:
         """Whether rows tell an error.
