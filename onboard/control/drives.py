@@ -26,11 +26,6 @@ class Drives(NamedTuple):
     viscous_n_m_s: FloatArray
     coulomb_n_m: FloatArray
 
-    @staticmethod
-    def none(joints: int) -> "Drives":
-        """Drives that add nothing."""
-        return Drives(*(np.zeros(joints) for _ in range(3)))
-
     def torque(self, dq: FloatArray, ddq: FloatArray) -> FloatArray:
         """What they take, N m, at joint rates and accelerations (..., n)."""
         sign = np.tanh(dq / _ROUNDING_RAD_S)

@@ -49,10 +49,6 @@ class Frames(NamedTuple):
     V: FloatArray  # (n, k, 6) spatial twists: the linear part is that of the point at the base's origin
     A: FloatArray  # (n, k, 6) their rates of change
 
-    def first(self, ticks: int) -> "Frames":
-        """The first ticks."""
-        return Frames(*(part[:ticks] for part in self))
-
 
 class Chain(NamedTuple):
     """Motion of a vehicle's links and joints relative to the base."""

@@ -16,17 +16,16 @@ from onboard.native import library, structures
 def _maps() -> tuple[FloatArray, ...]:
     """Constant maps of a vector's elements to its matrices, and of a twist's to a link's momentum columns."""
     hats = hat(np.eye(3))
-    crm, coad, momentum = np.zeros((6, 6, 6)), np.zeros((6, 6, 6)), np.zeros((6, 6, 10))
+    crm, momentum = np.zeros((6, 6, 6)), np.zeros((6, 6, 10))
     crm[:3, :3, 3:] = crm[3:, :3, :3] = crm[3:, 3:, 3:] = hats
-    coad[:3, :3, 3:] = coad[:3, 3:, :3] = coad[3:, 3:, 3:] = -hats
     momentum[[0, 1, 2], [0, 1, 2], 0] = 1.0  # l = m v + w x h, k = I w - v x h
     momentum[3:, :3, 1:4], momentum[:3, 3:, 1:4] = hats, -hats
     of, to = np.repeat([3, 4, 5], 3), np.tile([3, 4, 5], 3)
     momentum[of, to, [4, 5, 7, 5, 6, 8, 7, 8, 9]] = 1.0  # XX XY YY XZ YZ ZZ
-    return crm.reshape(6, 36), coad.reshape(6, 36), momentum
+    return crm.reshape(6, 36), momentum
 
 
-_CRM, _COAD, MOMENTUM = _maps()
+_CRM, MOMENTUM = _maps()
 
 
 def crm(V: FloatArray) -> FloatArray:
@@ -39,12 +38,6 @@ def force_cross(V: FloatArray, F: FloatArray) -> FloatArray:
     """``V x* F`` of a twist and a force vector along the last axis, (..., 6): ``-crm(V)' F``."""
     v, w, f = V[..., :3], V[..., 3:], F[..., :3]
     return np.concatenate([cross(w, f), cross(w, F[..., 3:]) + cross(v, f)], axis=-1)
-
-
-def coad(L: FloatArray) -> FloatArray:
-    """``coad(L) S = S x* L``, (..., 6, 6)."""
-    out: FloatArray = (L @ _COAD).reshape(*L.shape, 6)
-    return out
 
 
 def times(M: FloatArray, a: FloatArray) -> FloatArray:

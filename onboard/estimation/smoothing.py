@@ -181,17 +181,14 @@ class SmoothingWindow:
         self._u, self._cell, near = library.carved(out, [(at.size, length), (at.size, length), (at.size,)])
         self.valid &= near != 0.0
 
-    def weights(self, derivative: int = 0) -> FloatArray:
-        """Weights, (n, l), of the samples under each window; rows of invalid ticks are zero.
+    @cached_property
+    def weights(self) -> tuple[FloatArray, FloatArray]:
+        """Of the samples under each window for three derivatives, (n, 3, l); roots of their sums of squares, (3, n).
 
         Kernel values times trapezoidal cells, plus the smallest correction (weighted with B about its middle) that
-        makes the derivative of quadratic polynomials equal to the kernel's, for any sample times.
+        makes the derivative of quadratic polynomials equal to the kernel's, for any sample times. Weights of invalid
+        ticks are zero.
         """
-        return np.asarray(self._weights[0][:, derivative], np.float64)
-
-    @cached_property
-    def _weights(self) -> tuple[FloatArray, FloatArray]:
-        """:meth:`weights` of the three derivatives, (n, 3, l), and the roots of their sums of squares, (3, n)."""
         n, length = self.valid.size, self._length
         if not self._some:
             return np.zeros((n, 3, length)), np.full((3, n), np.nan)
@@ -236,7 +233,7 @@ class SmoothingWindow:
             raise RowError(f"{columns.shape[0]} values for {self.samples} sample times; give as many")
         if not np.isfinite(columns).all():
             raise RowError("values must be finite; drop invalid samples first, the hole counts as a gap")
-        n, (weights, gains), leading = self.valid.size, self._weights, tuple(orders) == (0, 1, 2)[: len(orders)]
+        n, (weights, gains), leading = self.valid.size, self.weights, tuple(orders) == (0, 1, 2)[: len(orders)]
         if any(order not in (0, 1, 2) for order in orders):
             raise RowError(f"of derivatives {[*orders]} one is not 0, 1 or 2")
         most, given = max(orders, default=-1) + 1, library.given(columns, *columns.shape)
@@ -259,7 +256,7 @@ class SmoothingWindow:
             near = np.where(self._cell[ticks] > 0.0, np.abs(self._u[ticks]), np.inf).argmin(axis=1)
             after_s = self._u[ticks, near] * self.width_s
             powers = np.stack([np.ones(ticks.size), after_s, 0.5 * after_s**2], axis=1)
-            weights = -np.einsum("no,nol->nl", powers, self._weights[0][ticks])
+            weights = -np.einsum("no,nol->nl", powers, self.weights[0][ticks])
             weights[np.arange(ticks.size), near] += 1.0
             under = np.minimum(self._low[ticks, None] + np.arange(self._length), self.samples - 1)
             off = np.einsum("nl,nlc->nc", weights, values[under])

@@ -44,7 +44,6 @@ _SIGNATURES = {  # all end with the results and their number
     "heft_shown": (*[_ARRAY] * 5, _FLOAT, *[_ARRAY] * 2),
     "heft_linked": (_ARRAY, _INT, _INT, _ARRAY),
     "heft_corrected": (_ARRAY, _FLOAT, _ARRAY),
-    "heft_plus": (_INT, *[_ARRAY] * 3),
     "heft_polygon": (_INT, _INT, _ARRAY, _INT, _INT, _ARRAY),
     "heft_moments": (_INT, _ARRAY),
     "heft_carried": (_INT, _INT, *[_ARRAY] * 5),

@@ -68,10 +68,6 @@ class BaseParameters:
         """Which are of bodies and joints, not of an instrument, (p,)."""
         return np.array([not name.startswith(_OF_INSTRUMENTS) for name in self.names], np.bool_)
 
-    def reduce(self, Y: FloatArray) -> FloatArray:
-        """The base regressor ``Y[:, independent]``, (..., p), from the standard one, (..., P)."""
-        return Y[..., self.independent]
-
     def value(self, chi: FloatArray) -> FloatArray:
         """Base parameters ``grouping @ chi``, (p,), of standard ones, (P,)."""
         return np.asarray(self.grouping @ chi, np.float64)

@@ -13,9 +13,9 @@ from onboard.dynamics.kinematics import Bodies, chain_motion, composite_inertia,
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.dynamics.spatial import coad, crm, force_cross
+from onboard.dynamics.spatial import crm, force_cross
 from tests.dynamics.mujoco_twin import inverse_dynamics, random_vehicle, to_mujoco, to_urdf
-from tests.native.oracle.bodies import Columns
+from tests.native.oracle.bodies import Columns, coad
 
 
 @pytest.fixture

@@ -154,11 +154,11 @@ def test_ticks_beyond_the_data_are_invalid():
 def test_no_samples_and_no_valid_tick():
     assert not smooth([], np.zeros((0, 2)), [0.1], WIDTH).valid.any()
     empty = SmoothingWindow(np.zeros(0), [0.1], WIDTH)
-    assert empty.weights().shape[0] == 1
+    assert empty.weights[0].shape[0] == 1
     assert np.isnan(empty.apply(np.zeros((0, 2))).values).all()
     sparse = SmoothingWindow(np.arange(0, 1, 0.015), [0.5], WIDTH, max_gap_s=0.001)
     assert not sparse.valid.any()
-    assert not sparse.weights().any()
+    assert not sparse.weights[0].any()
 
 
 @pytest.mark.parametrize(

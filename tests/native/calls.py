@@ -74,10 +74,6 @@ def outcomes(seed):
     corners = polygon.moved(polygon.box(-3.0, 5.0, 2.0, 4.0), (0.3, 0.1), rng.normal(size=(2, 2)), [(1.0, 0.2, 4.0)])
     angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 40))
     wide = polygon.widen(np.stack([5.0 * np.cos(angles), np.sin(angles)], axis=1), 1e-3, 1e-3)
-    plus = TickPrediction(
-        *rng.normal(size=(2, 3))[:1], rng.normal(size=(3, 7)), rng.normal(size=7), rng.normal(size=(2, 7))
-    )
-    more = plus.plus(rng.normal(size=7), np.array([0, 3]))
     table = predict_run(*on_table(case, seed))
     window = SmoothingWindow(np.cumsum(rng.uniform(0.5, 1.5, 60)), rng.uniform(0.0, 60.0, 9), 20.0)
     suspects, sigma, known = random_suspects(seed)
@@ -100,7 +96,6 @@ def outcomes(seed):
         corners,
         wide,
         *polygon.moments(wide),
-        *more,
         *weighed,
         *window.stacked(np.arange(120.0).reshape(60, 2), range(3)),
     ]
@@ -197,8 +192,6 @@ def fuzz_once(seed):
             polygon.moved(corners, (np.nan, 1.0) if rng.random() < 0.1 else (0.1, 0.2), segments, cuts)
         )
     )
-    plus = TickPrediction(spoiled(np.ones(4)), spoiled(np.ones((4, 7))), np.ones(7), spoiled(np.ones((2, 7))))
-    attempt(plus.plus, spoiled(np.ones(7)), np.array([0, 3]))
     suspects, sigma, known = random_suspects(seed)
     bank, m = Bank(suspects, sigma), sum(one.along.shape[1] for one in suspects)
     attempt(bank.weigh, tuple(map(spoiled, known)))

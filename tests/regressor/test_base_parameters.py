@@ -170,8 +170,8 @@ def test_the_map_keeps_every_row(rng, kind):
     found = base_parameters(model, rng)
     Y = sampled_rows(model, np.random.default_rng(5), 50, SampledMotion.of(kind), True)
     chi = rng.normal(size=len(model.names))
-    np.testing.assert_allclose(found.reduce(Y) @ found.value(chi), Y @ chi, atol=1e-8 * np.abs(Y).max() * 10)
-    W = found.reduce(Y)
+    np.testing.assert_allclose(Y[:, found.independent] @ found.value(chi), Y @ chi, atol=1e-8 * np.abs(Y).max() * 10)
+    W = Y[:, found.independent]
     assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0)) == len(found.names)
 
 
@@ -216,7 +216,7 @@ def test_trees_with_massless_links_one_body_or_none(tree):
     found = base_parameters(model, rng)
     W = sampled_rows(model, np.random.default_rng(5), 20, SampledMotion.of(kind), False)
     chi = rng.normal(size=len(model.names))
-    np.testing.assert_allclose(found.reduce(W) @ found.value(chi), W @ chi, atol=1e-7 * np.abs(W).max() * 10)
+    np.testing.assert_allclose(W[:, found.independent] @ found.value(chi), W @ chi, atol=1e-7 * np.abs(W).max() * 10)
     written = groupings(model, found)
     assert len(written.lines) == len(found.names) > 0
 

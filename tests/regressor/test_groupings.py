@@ -106,8 +106,8 @@ def test_a_known_load_tells_the_torque_constants(rng, links):
     mean = base.value(model.chi)
     for _ in range(8):  # the rows are linear for a given prediction
         motion = (*joints, standing(vehicle, len(read)), held)
-        drawn = base.reduce(model.regressor(*motion, predicted=np.zeros(read.shape))) @ mean
-        rows = base.reduce(model.regressor(*motion, predicted=drawn))
+        drawn = model.regressor(*motion, predicted=np.zeros(read.shape))[..., base.independent] @ mean
+        rows = model.regressor(*motion, predicted=drawn)[..., base.independent]
         rls = SquareRootRls(len(base.names))
         rls.prior(base.value(model.chi), base.covariance(prior) + 1e-12 * np.eye(len(base.names)))
         rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))

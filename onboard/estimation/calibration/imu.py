@@ -27,12 +27,6 @@ class TriadCalibration(NamedTuple):
     bias_sigma: FloatArray  # (3,)
     residual: float  # rms, stated sigmas
 
-    @property
-    def misalignment_rad(self) -> FloatArray:
-        """Small rotation of the triad against the reference, (3,): the antisymmetric part of E."""
-        E = self.matrix
-        return 0.5 * np.array([E[1, 2] - E[2, 1], E[2, 0] - E[0, 2], E[0, 1] - E[1, 0]])
-
 
 def six_positions(
     specific_force_m_s2: FloatArray,

@@ -277,11 +277,6 @@ class SquareRootRls:
         """A copy of R, upper triangular, (p, p): ``R' R`` is the information of prior and rows."""
         return self._triangle[: self.parameters, : self.parameters].copy()
 
-    def information(self) -> FloatArray:
-        """The information matrix ``R' R`` of prior and rows, (p, p)."""
-        R = self._triangle[: self.parameters, : self.parameters]
-        return np.asarray(R.T @ R, np.float64)
-
     def prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """The normal equations of the prior alone: information (p, p) and right-hand side (p,)."""
         if self._prior_normal is None:

@@ -117,11 +117,6 @@ class HealthMonitor:
         self._latched = Status(0)
         self.said = ""  # the status in words
 
-    @property
-    def latched(self) -> Status:
-        """All bits since the start."""
-        return self._latched
-
     def step(self, now_ns: int, workers: Sequence[WorkerState]) -> list[Batch]:
         """The records of the last second, if it is over."""
         if now_ns - self._looked_ns < PERIOD_NS:

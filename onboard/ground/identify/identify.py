@@ -73,11 +73,6 @@ class Identification:
     recorded: tuple[str, ...] = ()  # what the recording says of itself, other than the vehicle file
 
     @property
-    def supported(self) -> bool:
-        """Whether every log gives an estimate."""
-        return all(log.supported for log in self.logs)
-
-    @property
     def usable(self) -> bool:
         """Whether every log gives a usable estimate."""
         return all(log.usable for log in self.logs)

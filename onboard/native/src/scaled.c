@@ -59,7 +59,7 @@ int scaled_derivatives(i64 bodies, const double *drawn, const double *factor, co
 }
 
 /* out, (rows,), becomes values + by more: by (rows, columns); four sums beside each other, added at the end */
-HEFT_API int heft_plus(i64 columns, const double *values, const double *by, const double *more, double *out, i64 size) {
+int heft_plus(i64 columns, const double *values, const double *by, const double *more, double *out, i64 size) {
     for (i64 i = 0; i < size; i++) {
         const double *row = by + columns * i;
         double sums[4] = {0.0, 0.0, 0.0, 0.0};

@@ -5,11 +5,19 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.kinematics import spatial_inertias
-from onboard.dynamics.spatial import MOMENTUM, coad, crm, force_cross, force_transforms, times
+from onboard.dynamics.spatial import MOMENTUM, crm, force_cross, force_transforms, times
 from onboard.estimation.arrays import cross, hat
 
 _PARTS = 84  # of a body: I, dI, L, F
 _I, _DI, _L, _F = slice(0, 36), slice(36, 72), slice(72, 78), slice(78, 84)
+
+
+def coad(L):
+    """``coad(L) S = S x* L``, (..., 6, 6)."""
+    force, moment, out = hat(L[..., :3]), hat(L[..., 3:]), np.zeros((*L.shape, 6))
+    out[..., :3, 3:] = out[..., 3:, :3] = -force
+    out[..., 3:, 3:] = -moment
+    return out
 
 
 class Sums(NamedTuple):
@@ -25,7 +33,7 @@ class Sums(NamedTuple):
 
         ``dF/dw = [dI/dt + K(L)] + 2 I_l hat(v) + I_a hat(w)`` (derived here), the angular columns of what is in
         brackets, I_l and I_a the linear and angular columns of I, v and w of the base, K of
-        :func:`onboard.dynamics.spatial.coad`; specific force and angular acceleration of the base are held.
+        :func:`coad`; specific force and angular acceleration of the base are held.
 
         Args:
             twist: of the base, (n, 6).

