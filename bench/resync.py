@@ -24,8 +24,7 @@ from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
-from onboard.identification.free_flyer.batch import MotionFit, PayloadFit
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError
 

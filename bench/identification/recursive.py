@@ -15,8 +15,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightResult
-from onboard.identification.free_flyer.batch import MotionFit
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import MotionFit, free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks

@@ -10,7 +10,7 @@ from onboard.dynamics.model.payload import numbers_of, standard_covariance, stan
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.regressor.free_rows import measured_base, rough_payload, zero_wrench_rows
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin

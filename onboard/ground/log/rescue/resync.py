@@ -35,8 +35,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.vehicle_time import UNKNOWN
-from onboard.identification.free_flyer.batch import MotionFit
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import MotionFit, free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.recording.reader import LogReader
 from onboard.timebase.resync import Alignment, RecorderStream, ResyncError, align, shocks

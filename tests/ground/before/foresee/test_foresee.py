@@ -35,7 +35,7 @@ from onboard.ground.before.foresee.foreseen import render
 from onboard.ground.before.foresee.plan import MotionNoise, MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import NewVehicle, make
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import free_fit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.standing import Level
 from onboard.regressor.rows import standing

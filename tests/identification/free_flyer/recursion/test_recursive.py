@@ -10,7 +10,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
-from onboard.identification.free_flyer.free_base import free_fit
+from onboard.identification.free_flyer.batch import free_fit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
