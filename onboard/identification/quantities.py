@@ -1,7 +1,18 @@
-"""Reported quantities: linear combinations of base parameters, and their estimates."""
+"""Reported quantities: linear combinations of base parameters, their estimates, what these are good for and lean on.
+
+Whether an estimate is known well enough to be used is half its interval against a size. A mass or a moment of inertia
+is held against itself, a product of inertia against the largest moment of its body, a coordinate of a centre of mass
+against the size of the body: ``(|c|^2 + tr I / 2 m)^(1/2)``, the root mean square distance of its mass from the origin
+of its frame. A body of which mass or inertia is not determined has no size, and its products and centre are not judged.
+What is useful is stated by the user (``[estimation.useful]``).
+
+An answer leans on those sigmas of the vehicle file that its own sigma would change with. A shift of a prior's mean by
+one sigma s moves an estimate by its covariance P with that parameter over s; this is also what the prior adds to its
+variance: ``dP / d(ln s) = 2 (P / s)^2``. Parameters of one key are summed as squares.
+"""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -228,3 +239,131 @@ def _gyration_sigma(part: FloatArray, chi: FloatArray, first: int, tolerance: Dr
         "place": moment * tolerance.length_m if own[1:4].any() else 0.0,  # none on the joint's axis
         "radius of gyration": abs(about_centre) * tolerance.inertia / whole,
     }
+
+
+_CENTRE, _MOMENTS, _PRODUCTS = ("c_x", "c_y", "c_z"), ("I_xx", "I_yy", "I_zz"), ("I_xy", "I_xz", "I_yz")
+
+
+class Useful(NamedTuple):
+    """Half an interval over what it is held against, at most; by default what a controller of the pair needs."""
+
+    mass: float = 0.2
+    moment: float = 0.2
+    product: float = 0.2
+    centre: float = 0.1
+
+
+class Size(NamedTuple):
+    """What half an interval is held against."""
+
+    value: float
+    share: float  # of it, at most
+    what: str  # "it", "the body's size", "its largest moment"
+
+
+def is_positive(name: str, unit: str) -> bool:
+    """Whether a quantity is a mass or a moment of inertia, and no product of inertia."""
+    return unit == "kg" or (unit == "kg m^2" and not name.startswith(_PRODUCTS))
+
+
+def sizes(quantities: Iterable[QuantityEstimate], useful: Useful) -> dict[str, Size]:
+    """By name, of the quantities that have one."""
+    told = {one.name: one for one in quantities if one.supported}
+    found = {
+        name: Size(one.value, useful.mass if one.unit == "kg" else useful.moment, "it")
+        for name, one in told.items()
+        if is_positive(name, one.unit)
+    }
+    for name in [name for name in told if name.startswith(f"{BODY[0]}_")]:
+        body = name.removeprefix(BODY[0])
+        of = {kind: told.get(kind + body) for kind in BODY}
+        moments = [one.value for kind in _MOMENTS if (one := of[kind]) is not None]
+        if not moments:
+            continue
+        for kind in _PRODUCTS:
+            found[kind + body] = Size(max(moments), useful.product, "its largest moment")
+        centre = [one.value for kind in _CENTRE if (one := of[kind]) is not None]
+        if len(moments) == 3 and sum(moments) > 0.0 < told[name].value:
+            size = float(np.sqrt(np.dot(centre, centre) + sum(moments) / 2.0 / told[name].value))
+            for kind in _CENTRE:
+                found[kind + body] = Size(size, useful.centre, "the body's size")
+    return found
+
+
+def too_wide(one: QuantityEstimate, size: Size | None) -> str:
+    """Why an answer is not known well enough; empty if it is, or has no size."""
+    if size is None or one.half <= size.share * size.value:
+        return ""
+    return f"its interval is as wide as {one.half / size.value:.0%} of {size.what}"
+
+
+MEASURED = "noise of what was measured, and scatter beyond it"
+
+
+class Contribution(NamedTuple):
+    """A part of an answer's sigma."""
+
+    cause: str  # a key of vehicle.toml, or what the data leave
+    sigma: float  # in the unit of the answer
+    share: float  # of the variance
+
+
+class Causes:
+    """The keys that answers may lean on.
+
+    Args:
+        keys: of each parameter; empty for what has none.
+        sigma: stated, of each parameter, (p,).
+        further: keys of which no parameter is; the last ones.
+
+    Attributes:
+        names: of the c keys.
+        at: of each parameter's key among these; -1 for none.
+    """
+
+    def __init__(self, keys: Sequence[str], sigma: FloatArray, further: Sequence[str] = ()) -> None:
+        stated = [key if np.isfinite(s) and s > 0.0 else "" for key, s in zip(keys, sigma.tolist(), strict=True)]
+        self.names = (*dict.fromkeys(key for key in stated if key), *further)
+        self.at = np.array([self.names.index(key) if key else -1 for key in stated], np.intp)
+        self._of = np.zeros((len(keys), len(self.names)))
+        some = np.flatnonzero(self.at >= 0)
+        self._of[some, self.at[some]] = 1.0 / sigma[some] ** 2
+
+    def effects(self, along: FloatArray) -> FloatArray:
+        """What one sigma of each key does to some answers, (k, c); zero of those of which no parameter is.
+
+        Args:
+            along: covariance of the answers with each parameter, (k, p).
+        """
+        return np.asarray(np.sqrt(along**2 @ self._of), np.float64)
+
+    def said(self, effects: FloatArray, sigma: FloatArray, size: FloatArray, most: int = 3) -> tuple[str, ...]:
+        """Of each answer the keys that make up a good part of its sigma, with their effects in per cent; else empty.
+
+        Args:
+            effects: of each key, (k, c).
+            sigma: of the answers, (k,).
+            size: that effects are shown over, (k,); over zero they are not shown.
+            most: keys that are said.
+        """
+        found = []
+        for each, one, whole in zip(effects, sigma.tolist(), size.tolist(), strict=True):
+            large = [c for c in np.argsort(-each)[:most].tolist() if each[c] > SUPPORTED_SHRINKAGE * one]
+            told = ", ".join(self.names[c] + (f" ({100.0 * each[c] / whole:.2g} %)" if whole else "") for c in large)
+            found.append(f"leans on {told}" if told else "")
+        return tuple(found)
+
+    def budget(self, effects: FloatArray, sigma: FloatArray) -> tuple[tuple[Contribution, ...], ...]:
+        """Of each answer what its sigma is made of, the largest first; arguments as of :meth:`said`."""
+        rest = np.sqrt(np.maximum(sigma**2 - (effects**2).sum(axis=1), 0.0))
+        every = zip(effects.tolist(), rest.tolist(), strict=True)
+        return tuple(by_size(dict(zip((*self.names, MEASURED), (*each, left), strict=True))) for each, left in every)
+
+
+def by_size(parts: Mapping[str, float]) -> tuple[Contribution, ...]:
+    """Parts of a sigma by their cause, the largest first; empty where they are not known."""
+    whole: FloatArray = np.array(list(parts.values())) ** 2
+    if not np.isfinite(whole).all() or not whole.sum() > 0.0:
+        return ()
+    made = [Contribution(cause, sigma, sigma**2 / float(whole.sum())) for cause, sigma in parts.items() if sigma > 0.0]
+    return tuple(sorted(made, key=lambda one: -one.sigma))

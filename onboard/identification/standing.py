@@ -3,8 +3,7 @@
 from enum import StrEnum
 from typing import NamedTuple
 
-from onboard.identification.quantities import Findings, QuantityEstimate
-from onboard.identification.useful import Size, is_positive, too_wide
+from onboard.identification.quantities import Findings, QuantityEstimate, Size, is_positive, too_wide
 
 
 class Level(StrEnum):

@@ -8,8 +8,8 @@ The rules, from worst to best; every applicable reason is listed:
   predicted from the other no better than without an estimate, beyond the effect of noise; a fitted correction of an
   instrument lies five stated sigmas out.
 - *weak*: a requested quantity is not determined (it is named), or not known well enough
-  (:mod:`onboard.identification.useful`); one half predicts the other with an error above 50 %; a correction lies three
-  sigmas out; the log is too short to hold out a half.
+  (:mod:`onboard.identification.quantities`); one half predicts the other with an error above 50 %; a correction lies
+  three sigmas out; the log is too short to hold out a half.
 - *good*: none of these. Stated sigmas that the rows contradict and that are taken wider are named with any level, and
   so are rows refused because a reading repeats, where these are more than one in twenty.
 

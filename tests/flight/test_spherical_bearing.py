@@ -25,9 +25,9 @@ from onboard.ground.identify.replay.feed import fed, feed
 from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
+from onboard.identification.quantities import sizes
 from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.standing import Level, standing
-from onboard.identification.useful import sizes
 from onboard.recording.reader import LogReader
 from tests.flight.estimate.state_bytes import to_bytes
 from tests.flight.missions import Result, fly

@@ -3,7 +3,7 @@
 import numpy as np
 
 from onboard.estimation.policy import HALF
-from onboard.identification.essential import essential
+from onboard.identification.observability import essential
 
 
 def estimate(rng, truth, noise):

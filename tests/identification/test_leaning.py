@@ -5,9 +5,9 @@ import pytest
 
 from onboard import config
 from onboard.flight.estimate.problem.identification import build_free_flyer
-from onboard.identification import leaning
+from onboard.identification import quantities
 from onboard.identification.free_flyer.online import MotionIdentifier, keys_of
-from onboard.identification.leaning import Causes
+from onboard.identification.quantities import Causes
 
 SIGMA = np.array([np.nan, 0.5, 0.5, 2.0, 0.0])
 KEYS = ("", "one", "one", "other", "exact")
@@ -43,7 +43,7 @@ def test_what_makes_up_a_good_part_of_sigma_is_said() -> None:
 
 def test_a_part_that_is_doubled_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     causes = Causes(KEYS, SIGMA)
-    monkeypatch.setattr(leaning, "SUPPORTED_SHRINKAGE", 2.0 * leaning.SUPPORTED_SHRINKAGE)
+    monkeypatch.setattr(quantities, "SUPPORTED_SHRINKAGE", 2.0 * quantities.SUPPORTED_SHRINKAGE)
     assert causes.said(np.array([[0.3, 0.25]]), np.ones(1), np.ones(1)) == ("",)
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.quantities import BODY, BODY_UNITS, QuantityEstimate
-from onboard.identification.useful import Useful, sizes, too_wide
+from onboard.identification.quantities import BODY, BODY_UNITS, QuantityEstimate, Useful, sizes, too_wide
 
 VALUES = (2.0, 0.1, 0.0, -0.2, 0.02, 0.001, 0.03, 0.0, 0.0, 0.01)
 ROOT_MEAN_SQUARE = np.sqrt(0.1**2 + 0.2**2 + 0.06 / 2.0 / 2.0)  # m, of the distance of its mass from the origin

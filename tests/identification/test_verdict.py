@@ -11,14 +11,13 @@ from onboard.estimation.policy import sigmas
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.corrections import DOUBTFUL, doubtful, doubtful_from, refused_from
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import Findings, QuantityEstimate
+from onboard.identification.quantities import Findings, QuantityEstimate, Useful, sizes
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut, held_out
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.standard import identified_links, link_estimate, standard_posterior
 from onboard.identification.standing import Level, Standing, standing
-from onboard.identification.useful import Useful, sizes
 from onboard.identification.verdict import Evidence, standings_of, verdict
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import RowModel, base_force_rows, base_moment_rows

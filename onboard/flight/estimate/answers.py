@@ -16,9 +16,8 @@ from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.change import Change
 from onboard.identification.free_flyer.innovation import ReferenceErrors
-from onboard.identification.quantities import Estimate, Findings, outer_of
+from onboard.identification.quantities import Estimate, Findings, Useful, outer_of, sizes
 from onboard.identification.standing import LEVELS, Level, Standing, standing
-from onboard.identification.useful import Useful, sizes
 from onboard.recording.format.texts import listed
 
 

@@ -18,7 +18,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.ground.campaign.instants import off_by
 from onboard.ground.campaign.results import Outcome, kinds
 from onboard.ground.campaign.store import FACTOR
-from onboard.identification.useful import is_positive
+from onboard.identification.quantities import is_positive
 
 Row = Mapping[str, Any]
 MOST_WORST = 15

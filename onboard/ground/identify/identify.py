@@ -36,8 +36,7 @@ from onboard.ground.identify.kinds.table_log import identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, fed, feed_rows
-from onboard.identification.essential import essential
-from onboard.identification.observability import observed_directions
+from onboard.identification.observability import essential, observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit, prediction

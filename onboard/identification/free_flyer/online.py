@@ -31,11 +31,11 @@ from onboard.identification.free_flyer.recursion.bounded_work import last_work
 from onboard.identification.free_flyer.recursion.lines import RECENT_s
 from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter, feed_filter
 from onboard.identification.free_flyer.recursion.solved import SOLVED_AT_s
-from onboard.identification.leaning import Causes
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
     SUPPORTED_SHRINKAGE,
+    Causes,
     Estimate,
     Findings,
     QuantityEstimate,

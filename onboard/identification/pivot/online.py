@@ -13,10 +13,11 @@ from onboard.estimation.gates import ReasonArray
 from onboard.estimation.policy import AGAIN, HALF, INTERVAL, MOSTLY
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.free_flyer.prediction.ticks import Ticks, ticks_of
-from onboard.identification.leaning import Causes, Contribution
 from onboard.identification.pivot.fit import BODY, PivotModel
 from onboard.identification.quantities import (
     SUPPORTED_SHRINKAGE,
+    Causes,
+    Contribution,
     DrawingTolerance,
     Estimate,
     Findings,

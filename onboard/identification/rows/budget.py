@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from onboard.identification.leaning import Contribution, by_size
+from onboard.identification.quantities import Contribution, by_size
 from onboard.identification.rows.identifier import Identifier
 
 ROWS = "scatter of the rows: noise, gears, what the model leaves"

@@ -26,8 +26,7 @@ from onboard.identification.rows.found import found
 from onboard.identification.rows.grasped import contradiction, grasped_payload
 from onboard.identification.rows.likelihood import RowsSeen
 from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
-from onboard.identification.rows.stated_errors.considered import Considered, check, of_motion
-from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors, Start
+from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors, Start, check, of_motion
 from onboard.identification.rows.stated_errors.drawing import Unstated, answered, off_drawing, unstated
 from onboard.identification.rows.stated_errors.fitted_corrections import Fitted, FittedCorrections
 from onboard.identification.rows.stated_errors.scales import estimated_scales, fill_scales

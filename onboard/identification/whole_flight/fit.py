@@ -13,7 +13,7 @@ without marks) is a constant and, in stretches of its correlation time T, a devi
 the effect d of a delay, so that rows are whitened by ``(1 + s^2 d d')^(-1/2)``.
 
 Normal equations are kept for each block of ticks and each instrument, of the parameters that it depends on, so that
-agreement of parts of the flight (:mod:`onboard.identification.whole_flight.parts`) costs no further prediction, and
+agreement of parts of the flight (:mod:`onboard.identification.whole_flight.pooled`) costs no further prediction, and
 memory hardly grows with the flight.
 """
 

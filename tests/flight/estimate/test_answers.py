@@ -4,9 +4,8 @@ import numpy as np
 
 from onboard import channels
 from onboard.flight.estimate.answers import Answers
-from onboard.identification.quantities import Estimate, Findings, QuantityEstimate
+from onboard.identification.quantities import Estimate, Findings, QuantityEstimate, Useful
 from onboard.identification.standing import LEVELS, Level
-from onboard.identification.useful import Useful
 
 
 def why(findings: Findings) -> bytes:

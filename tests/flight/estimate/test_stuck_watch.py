@@ -5,8 +5,8 @@ import pytest
 
 from drivers import records
 from onboard import config
+from onboard.flight.estimate.readings.jumps import StuckWatch
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.stuck import StuckWatch
 
 
 @pytest.mark.parametrize(("for_s", "codes"), [(0.7, ["stuck"]), (1.5, ["stuck", "stuck_over"])])

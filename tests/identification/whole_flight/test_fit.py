@@ -17,9 +17,9 @@ from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.blocks import INSTRUMENTS, BlockNoise, apart, sum_of, total_of
 from onboard.identification.whole_flight.fit import WholeFlight
-from onboard.identification.whole_flight.parts import differences, halves
+from onboard.identification.whole_flight.pooled import differences, halves
 from onboard.identification.whole_flight.segments import Segment, in_windows
-from onboard.identification.whole_flight.stated import bodies_of, bound_of, leans_on
+from onboard.identification.whole_flight.witnesses import bodies_of, bound_of, leans_on
 from onboard.identification.windows import WINDOW_s
 from onboard.regressor.signals import EncoderJump
 from tests.dynamics.free_flyer_twin import BOX

@@ -7,7 +7,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.identification.whole_flight.blocks import total_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import divided
-from onboard.identification.whole_flight.steps_inside import StepsInside
+from onboard.identification.whole_flight.witnesses import StepsInside
 from tests.dynamics.free_flyer_twin import PAYLOAD as TRUTH
 from tests.identification.free_flyer.recorded_flights import WIDE
 from tests.identification.whole_flight.flights import CAPTURE_s, fitted_freely, segments, spoilt_from

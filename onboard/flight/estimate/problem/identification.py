@@ -56,8 +56,7 @@ from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.stated_errors.considered import Considered
-from onboard.identification.rows.stated_errors.considered_errors import Start
+from onboard.identification.rows.stated_errors.considered import Considered, Start
 from onboard.identification.rows.stated_errors.whitening import Whitening
 from onboard.identification.table.run import TableRun
 from onboard.regressor.base_parameters import base_parameters

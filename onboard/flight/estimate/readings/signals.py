@@ -19,10 +19,9 @@ from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWind
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks, nothing, side_by_side, tick_means
 from onboard.flight.estimate.readings.cyclic import Cyclic, cyclic_functions, cyclic_of
 from onboard.flight.estimate.readings.history import History, RecentSamples, SampleTimes
-from onboard.flight.estimate.readings.jumps import JumpWatch, jumped_text
+from onboard.flight.estimate.readings.jumps import JumpWatch, StuckEvent, StuckWatch, jumped_text
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.scatter import SampleScatter
-from onboard.flight.estimate.readings.stuck import StuckEvent, StuckWatch
 from onboard.regressor.signals import EncoderJump
 from onboard.timebase.timebase import Timebase
 

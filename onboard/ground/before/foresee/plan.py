@@ -17,9 +17,8 @@ from onboard.estimation.smoothing import Response, SmoothingWindow
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import CYCLIC_LEFT, kernel_of
-from onboard.identification.quantities import BODY, Findings, QuantityEstimate
+from onboard.identification.quantities import BODY, Findings, QuantityEstimate, Useful, sizes
 from onboard.identification.standing import Level, standing
-from onboard.identification.useful import Useful, sizes
 from onboard.regressor.rows import BaseMotion
 
 UNDETERMINED = "not determined"

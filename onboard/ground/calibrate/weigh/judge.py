@@ -9,9 +9,8 @@ from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY, times_tex
 from onboard.ground.calibrate.weigh.units import likelier, radius_m
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.corrections import doubtful_from
-from onboard.identification.quantities import Findings
+from onboard.identification.quantities import Findings, Size, Useful
 from onboard.identification.standing import Level, Standing, standing
-from onboard.identification.useful import Size, Useful
 from onboard.identification.verdict import Evidence, Verdict, standings_of, verdict
 
 FARTHEST_m = 2.0

@@ -18,8 +18,7 @@ from onboard.ground.calibrate.weigh.changed import BodyChange, change
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
-from onboard.identification.leaning import Causes
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Causes, QuantityEstimate
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 

@@ -23,8 +23,7 @@ from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
 from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
-from onboard.identification.leaning import Causes, Contribution
-from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Findings, QuantityEstimate
+from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Causes, Contribution, Findings, QuantityEstimate
 from onboard.identification.verdict import Evidence
 from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s
 from onboard.recording.format.errors import ChannelError

@@ -27,14 +27,12 @@ from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
-from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings, QuantityEstimate
+from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings, QuantityEstimate, Useful
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate
-from onboard.identification.useful import Useful
 from onboard.identification.verdict import TOO_SHORT, Evidence
-from onboard.identification.whole_flight.parts import halves
-from onboard.identification.whole_flight.stated import bound_of, leans_on
-from onboard.identification.whole_flight.witnesses import Tested
+from onboard.identification.whole_flight.pooled import halves
+from onboard.identification.whole_flight.witnesses import Tested, bound_of, leans_on
 from onboard.recording.reader import LogReader
 
 LONGEST_S = 60.0  # of flight that is fitted as a whole

@@ -23,7 +23,7 @@ from onboard.estimation.policy import HALF
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.identification.free_flyer.captured_body import NAMES
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.stated_errors.considered_errors import Start
+from onboard.identification.rows.stated_errors.considered import Start
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 

@@ -40,7 +40,7 @@ from onboard.identification.free_flyer.recursion.trials import Exclusion, Window
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.recursion.windowed import Windowed, WINDOWS_s
 from onboard.identification.free_flyer.steps import JumpedJoint
-from onboard.identification.useful import Useful
+from onboard.identification.quantities import Useful
 from onboard.regressor.signals import EncoderJump
 
 DETERMINED = Useful().mass / HALF  # relative sigma of the payload's mass below which filter steps are used

@@ -51,8 +51,7 @@ from onboard.identification.rows.checks.remade import RowsRemade
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED, explained
-from onboard.identification.rows.stated_errors.considered import Considered, rate_of
-from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors
+from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors, rate_of
 from onboard.identification.rows.stated_errors.equations import ErrorEquations
 from onboard.identification.rows.stated_errors.stated import Taken
 from onboard.identification.windows import SHORTEST

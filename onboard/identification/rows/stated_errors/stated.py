@@ -46,7 +46,7 @@ from onboard.estimation.maximum_likelihood import ITERATIONS, ROUNDS
 from onboard.estimation.policy import HALF, MOSTLY, ODDS
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.mixture import Mixture
-from onboard.identification.leaning import Causes
+from onboard.identification.quantities import Causes
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.all_rows import as_stated
 from onboard.identification.rows.stated_errors.considered import OF_GAIN, Considered

@@ -11,9 +11,8 @@ from onboard import config
 from onboard.ground.identify import identify
 from onboard.ground.identify.kinds.identified import Identified, standings
 from onboard.ground.identify.mission import own_mission
-from onboard.identification.quantities import QuantityEstimate
+from onboard.identification.quantities import QuantityEstimate, Useful
 from onboard.identification.standing import Level
-from onboard.identification.useful import Useful
 from onboard.identification.verdict import Verdict
 
 VEHICLE = SimpleNamespace(prediction="planar", file=SimpleNamespace(vehicle=SimpleNamespace(payload_link="box")))

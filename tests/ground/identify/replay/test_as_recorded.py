@@ -9,8 +9,8 @@ import pytest
 from drivers.records import SCALAR
 from onboard import config
 from onboard.devices.recorded import RecordedAngle, RecordedDevice
+from onboard.flight.estimate.readings.jumps import StuckWatch
 from onboard.flight.estimate.readings.roles import roles_of
-from onboard.flight.estimate.readings.stuck import StuckWatch
 from onboard.ground.before.init.vehicle import NewVehicle, make
 from onboard.ground.identify.replay.as_recorded import as_recorded, best_width, quantum_of
 from onboard.ground.identify.replay.feed import check_times

@@ -13,7 +13,7 @@ from onboard.identification.rows.checks import kept_ticks, suspects
 from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
 from onboard.identification.rows.checks.prediction import prediction
 from onboard.identification.rows.held_out import held_out
-from onboard.identification.rows.stated_errors.considered_errors import ConsideredErrors
+from onboard.identification.rows.stated_errors.considered import ConsideredErrors
 from onboard.identification.standing import Level
 from tests.identification.rows import test_grasped as bench
 from tests.identification.rows.checks.arm_on_bench import (
