@@ -15,8 +15,7 @@ from onboard.ground.api.flight_log import ChannelTable, FlightLog, LogChannel, o
 from onboard.ground.api.identify import identify
 from onboard.ground.api.subscribe import subscribe
 from onboard.ground.identify.identify import Identification
-from onboard.ground.identify.replay.reestimate import Reestimate
-from onboard.ground.identify.replay.replay import Replay, replay
+from onboard.ground.identify.replay.replay import Reestimate, Replay, replay
 
 open = open_log  # noqa: A001  # heft.open reads as what it does
 

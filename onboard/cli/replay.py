@@ -37,7 +37,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _reestimate(arguments: argparse.Namespace) -> int:
-    from onboard.ground.identify.replay.reestimate import reestimate, render
+    from onboard.ground.identify.replay.replay import reestimate, render
 
     with progress() as bar:
         found = reestimate(arguments.log, arguments.settings, bar)

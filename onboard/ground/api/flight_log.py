@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.records import EVENT, GAP, Rows
 from onboard import channels, config
-from onboard.ground.identify.replay.reestimate import Reestimate, reestimate
-from onboard.ground.identify.replay.replay import Replay, replay
+from onboard.ground.identify.replay.replay import Reestimate, Replay, reestimate, replay
 from onboard.ground.log.export.aligned import aligned
 from onboard.ground.log.export.dump import chosen_columns
 from onboard.ground.log.tables.columns import TIME_FIELD, TableColumn, Times, Values, columns, with_times

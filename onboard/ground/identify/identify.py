@@ -27,11 +27,10 @@ from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
 from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
 from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
-from onboard.ground.identify.kinds.identified import Identified, judged, standings
+from onboard.ground.identify.kinds.identified import Identified, KeptRows, judged, standings
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
 from onboard.ground.identify.kinds.pivot_log import identify_pivot
-from onboard.ground.identify.kinds.residuals import KeptRows
 from onboard.ground.identify.kinds.table_log import identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded

@@ -15,8 +15,7 @@ from onboard.ground.drawing.gallery import Gallery
 from onboard.ground.drawing.html import Cell
 from onboard.ground.drawing.theme import COLOUR, CYCLE, subplots
 from onboard.ground.identify.identify import Identification
-from onboard.ground.identify.kinds.identified import Identified
-from onboard.ground.identify.kinds.residuals import Residuals, autocorrelation
+from onboard.ground.identify.kinds.identified import Identified, Residuals, autocorrelation
 from onboard.ground.log.views.summary import reason_words
 from onboard.ground.report.flight.figures import legend
 from onboard.identification.standing import Level

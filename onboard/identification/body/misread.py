@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.identification.body.fit import BodyModel
+from onboard.identification.body.fit import BodyModel, TrackedPoses
 from onboard.identification.body.start import PoseAxes, solved
-from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.misread import exchanged, score, turned
 
 _OTHER = "the other way"

@@ -23,7 +23,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredi
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.misread import AXES, JointReading, axes_text, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
-from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
+from onboard.identification.rows.checks.remade import MOST_TICKS
 from onboard.regressor.free_rows import BaseSignals, base_of, smoothed_imu
 
 _UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero

@@ -8,6 +8,11 @@ Derivatives of the motion are differences of its prediction, all variants integr
 are :func:`onboard.identification.free_flyer.prediction.imu_errors.imu_reading`'s. Intervals are widened by what is left
 over of each sensor, and by the scatter of the windows' scores
 (:func:`onboard.estimation.recursive.consistency.noise_scale`).
+
+The fit starts from the balance of the body's momentum. Over a second ``J w + h`` changes by the integral of ``g u x c -
+w x (J w + h)``, with rate w and vertical u as they are read: linear in first moment c and inertia J. No drawing has to
+be near. That matters where a drawing leaves out what balances a wheel: within a window such a body swings to where no
+step leads back from.
 """
 
 from collections.abc import Iterator
@@ -31,9 +36,45 @@ from onboard.identification.free_flyer.prediction.imu_errors import (
 )
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, UnknownLayout, Unknowns
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.pivot.momentum import by_momentum
 from onboard.identification.quantities import inertia_about_joint
 from onboard.identification.windows import SHORTEST, Part, WINDOW_s, WindowedFit, judged, total
+
+_BASIS = np.stack([symmetric(one) for one in np.eye(6)], axis=2)  # (3, 3, 6)
+
+
+def by_momentum(
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    whole: BoolArray,
+    proof: FloatArray,
+    beforehand: tuple[FloatArray, FloatArray],
+    noise: float,
+    g: float,
+    period_s: float,
+) -> FloatArray:
+    """First moment and inertia about the pivot, (9,): XX XY YY XZ YZ ZZ.
+
+    Args:
+        motion: rate rad/s, specific force m/s^2, what the wheels store N m s, each (k, n, 3), body axes, over k spans.
+        whole: (k,) which spans were measured without a gap.
+        proof: (k, 9) the same numbers of what is known to be set on.
+        beforehand: mean and sigma, (9,) each.
+        noise: of a momentum, N m s.
+        g: m/s^2.
+        period_s: between ticks.
+    """
+    w, f, h = (one[whole] for one in motion)
+    u = f / np.linalg.norm(f, axis=2, keepdims=True)
+    spin = np.einsum("ijm,knj->knim", _BASIS, w)
+    lever = -np.cross(np.eye(3), u[:, :, None])  # (k, n, 3, 3): row i is u x e_i
+    torque = np.concatenate([g * lever.swapaxes(2, 3), -np.cross(w[..., None], spin, 2, 2, 2)], axis=3)
+    gained = np.concatenate([np.zeros((*w.shape, 3)), spin], axis=3)
+    A = gained[:, -1] - gained[:, 0] - np.trapezoid(torque, dx=period_s, axis=1)
+    b = h[:, 0] - h[:, -1] - np.trapezoid(np.cross(w, h), dx=period_s, axis=1)
+    b -= np.einsum("kim,km->ki", A, proof[whole])
+    mean, sigma = beforehand
+    A, b = A.reshape(-1, 9) * sigma / noise, (b - A @ mean).ravel() / noise
+    return np.asarray(mean + sigma * np.linalg.solve(A.T @ A + np.eye(9), A.T @ b), np.float64)
+
 
 BODY = 9  # unknowns: first moment, inertia
 _STATE = 5  # unknowns of a window: rate, tilt at its first tick

@@ -1,12 +1,21 @@
 """What of a run's encoders may not be as stated, weighed by :mod:`onboard.identification.evidence.bank`.
 
 Of each encoder the zero, the scale or the delay, and the scale from some time on (a coupling, a counter). With r the
-residuals and B their derivative after the step of :mod:`onboard.identification.table.joints`, P the covariance, and h
-what an error of one sigma changes the residuals by, the estimate moves by ``-P B'h`` for it; gradient and information
-of its size are ``-h'r`` and ``h'h - h'B P B'h``. Residuals above the noise count by so much less. The answer is the
-mixture of all that counts. Where a fault is more probable than the file as stated, the run is fitted anew about each of
-the likeliest, with that error taken out, and these are weighed by the squares that are left: about an estimate that is
-ten sigmas off, of a scale that is 5 % off, the residuals are not linear. About the best all others are weighed again.
+residuals and B their derivative after :func:`joint_step`, P the covariance, and h what an error of one sigma changes
+the residuals by, the estimate moves by ``-P B'h`` for it; gradient and information of its size are ``-h'r`` and ``h'h -
+h'B P B'h``. Residuals above the noise count by so much less. The answer is the mixture of all that counts. Where a
+fault is more probable than the file as stated, the run is fitted anew about each of the likeliest, with that error
+taken out, and these are weighed by the squares that are left: about an estimate that is ten sigmas off, of a scale that
+is 5 % off, the residuals are not linear. About the best all others are weighed again.
+
+Errors of the joints, cyclic ones of their encoders too, are further unknowns of a run. They are milliradians and
+millimetres, so the residuals are linear in them: with J the derivative of the whitened residuals r by the fitted
+parameters x, G that by the errors z (by differences of their stated sigmas), and L and Z the prior information about
+zero, one Gauss-Newton step
+
+    [dx; z] = -[J'J + L, J'G; G'J, G'G + Z]^-1 [J'r + L x; G'r]
+
+gives the estimate with the errors fitted too, and the inverse is the covariance of both (derived here).
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +28,7 @@ from onboard.dynamics.joint_errors import JOINT_ERRORS, PER_JOINT
 from onboard.dynamics.model.errors import ModelError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.maximum_likelihood import Fit
+from onboard.estimation.maximum_likelihood import Fit, inverse_of
 from onboard.estimation.policy import (
     FARTHEST_SIZE,
     LEAST_WEIGHT,
@@ -29,12 +38,105 @@ from onboard.estimation.policy import (
     STEPS_PER_HOUR,
     LIKELY_DELAY_s,
 )
+from onboard.identification.corrections import expected_sigma
 from onboard.identification.evidence.bank import Bank, Changed, Suspect, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.free_flyer.batch import PayloadFit
 from onboard.identification.quantities import Findings
-from onboard.identification.table import joints
 from onboard.identification.table.air_bearing import TableFit
+
+
+class JointCorrections(NamedTuple):
+    """Fitted errors of joints, k of them."""
+
+    names: tuple[str, ...]
+    values: FloatArray  # (k,)
+    stated: FloatArray  # (k,) their sigmas before the run
+    sigma: FloatArray  # (k,) after it
+
+    @property
+    def in_stated_sigmas(self) -> dict[str, float]:
+        """By name."""
+        return dict(zip(self.names, (self.values / self.stated).tolist(), strict=True))
+
+    @property
+    def in_told_sigmas(self) -> dict[str, float]:
+        """By name, in sigmas of what the data tell: :mod:`onboard.identification.corrections`."""
+        return dict(
+            zip(self.names, (self.values / expected_sigma(self.stated**2, self.sigma**2)).tolist(), strict=True)
+        )
+
+
+class Step(NamedTuple):
+    """One Gauss-Newton step of parameters and errors of joints, and of c further errors of one sigma each."""
+
+    fit: Fit  # of the parameters, (p,)
+    joints: JointCorrections
+    covariance: FloatArray  # (p + k + c, p + k + c)
+    left: FloatArray  # (m,) residuals after it
+    derivative: FloatArray  # (m, p + k + c) of these
+    further: FloatArray  # (c,) sizes of the further errors, beyond those that they are at
+
+
+def joint_step(run: TableFit, found: Fit, further: FloatArray | None = None, at: FloatArray | None = None) -> Step:
+    """The step, as this module's head says.
+
+    Args:
+        run: its fit.
+        found: its fit of all ticks, joints exact.
+        further: (m, c) derivative of the residuals by the further errors.
+        at: (c,) of which size they are in ``run``, in sigmas.
+
+    Raises:
+        SingularError: errors that cannot be separated.
+    """
+    x, p = found.x, found.x.size
+    names, stated = _unknown(run)
+    r, both, information = _normal(run, x, further)
+    gradient = both.T @ r
+    gradient[:p] += run.prior_information @ x
+    if at is not None:
+        gradient[p + len(names) :] += at
+    covariance = inverse_of(information)
+    moved = -covariance @ gradient
+    z, sigma = moved[p : p + len(names)], np.sqrt(np.diag(covariance)[p : p + len(names)])
+    squares = found.residual_sum + float(gradient @ moved)
+    fit = found._replace(x=x + moved[:p], covariance=covariance[:p, :p], residual_sum=squares)
+    corrections = JointCorrections(names, z, stated, sigma)
+    return Step(fit, corrections, covariance, r + both @ moved, both, moved[p + len(names) :])
+
+
+def bound(run: TableFit, x: FloatArray) -> FloatArray:
+    """Covariance of the parameters (p, p) with the errors of the joints unknown, at parameters ``x``, (p,).
+
+    Raises:
+        SingularError: a direction determined by neither rows nor prior.
+    """
+    return inverse_of(_normal(run, x, None)[2])[: x.size, : x.size]
+
+
+def _unknown(run: TableFit) -> tuple[tuple[str, ...], FloatArray]:
+    """Names of the errors that have a sigma, and these, (k,)."""
+    names, sigma = (*run.joints.names, *run.cyclic.names), np.append(run.joints.sigma, run.cyclic.sigma)
+    own = np.flatnonzero(sigma > 0.0)
+    return tuple(names[k] for k in own), sigma[own]
+
+
+def _normal(run: TableFit, x: FloatArray, further: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (m,), their derivative by parameters and errors, (m, p + k + c), and the information on these."""
+    sigma, (r, J), own = (np.append(run.joints.sigma, run.cyclic.sigma), run.residuals(x), run.joints.sigma.size)
+    columns = [J]
+    for place in np.flatnonzero(sigma > 0.0):
+        each = np.where(np.arange(sigma.size) == place, sigma, 0.0)
+        wrong = run.with_errors(each[:own].reshape(-1, PER_JOINT), multiples=each[own:])
+        columns.append(((wrong.left(x) - r) / sigma[place])[:, None])
+    both = np.concatenate([*columns, *([] if further is None else [further])], axis=1)
+    information = both.T @ both
+    information[: x.size, : x.size] += run.prior_information
+    stated = _unknown(run)[1]
+    information[x.size :, x.size :] += np.diag(np.append(stated**-2, np.ones(both.shape[1] - x.size - stated.size)))
+    return r, both, information
+
 
 PARTS = 16  # of a run, at the ends of which a scale may step
 _SMALL = 0.01  # of a sigma: for derivatives
@@ -56,7 +158,7 @@ class Answered(NamedTuple):
 
     found: PayloadFit  # the mixture of all that counts
     stated: PayloadFit  # if all is as stated
-    joints: joints.JointCorrections  # if the likeliest is true, of what it does not say is wrong
+    joints: JointCorrections  # if the likeliest is true, of what it does not say is wrong
     findings: Findings
 
 
@@ -71,7 +173,7 @@ def answered(run: TableFit, found: PayloadFit) -> Answered:
         SingularError: errors that cannot be separated.
         SignalError: a payload without a mass.
     """
-    step = joints.step(run, found.fit)
+    step = joint_step(run, found.fit)
     stated, (weighed, some) = run.found(step.fit), _weighed(run, found.fit, step)
     if weighed.every[0].weight >= LIKELIER:
         return Answered(_mixed(run, step, weighed.mixed(weighed.known)), stated, step.joints, Findings())
@@ -98,12 +200,12 @@ def answered(run: TableFit, found: PayloadFit) -> Answered:
     return Answered(_mixed(run, step, mixture), stated, corrections, Findings(tuple(against), tuple(doubts)))
 
 
-def _known_of(step: joints.Step) -> Known:
+def _known_of(step: Step) -> Known:
     """Mean and covariance of the parameters."""
     return step.fit.x, step.fit.covariance
 
 
-def _mixed(run: TableFit, step: joints.Step, mixture: Mixture) -> PayloadFit:
+def _mixed(run: TableFit, step: Step, mixture: Mixture) -> PayloadFit:
     mean, covariance = mixture.known
     return run.found(step.fit._replace(x=mean, covariance=covariance))
 
@@ -115,7 +217,7 @@ class _Some(NamedTuple):
     changed: Changed
 
 
-def _weighed(run: TableFit, fit: Fit, step: joints.Step, taken: EncoderError | None = None) -> tuple[Weighed, _Some]:
+def _weighed(run: TableFit, fit: Fit, step: Step, taken: EncoderError | None = None) -> tuple[Weighed, _Some]:
     """Each error by itself against none, but for one that is taken out already."""
     errors = tuple(one for one in _errors(run) if taken is None or (one.errors != taken.errors).any())
     h, p, wider = _columns(run, fit.x, errors), fit.x.size, max(1.0, run.found(step.fit).misfit)
@@ -135,7 +237,7 @@ class _Solved(NamedTuple):
     log: float  # of its odds, and of what its prior costs
     run: TableFit
     fit: Fit
-    step: joints.Step
+    step: Step
 
     @property
     def squares(self) -> float:
@@ -159,7 +261,7 @@ def _about(run: TableFit, fit: Fit | None, error: EncoderError, size: float, log
     """``fit``: of a run near this; None: minima are searched for."""
     corrected = run.with_errors(size * error.errors, error.since)
     near = (corrected.fit() if fit is None else corrected.near(fit.x)).fit
-    step = joints.step(corrected, near, _columns(corrected, near.x, [error]), np.array([size]))
+    step = joint_step(corrected, near, _columns(corrected, near.x, [error]), np.array([size]))
     return _Solved(error, size, log, corrected, near, step)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from onboard.ground.drawing import theme
 from onboard.ground.drawing.gallery import Gallery
-from onboard.ground.identify.kinds.residuals import KeptRows, autocorrelation, by_axis
+from onboard.ground.identify.kinds.identified import KeptRows, autocorrelation, by_axis
 from onboard.ground.report.identified import residual_section
 from onboard.identification.rows.row_blocks import RowBlocks
 

@@ -18,7 +18,7 @@ from onboard.identification.free_flyer.batch import MotionFit
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import DragPrior, Searched, TableFit, Work, drag_of
-from onboard.identification.table.joints import bound, step
+from onboard.identification.table.rivals import bound, joint_step
 from tests.identification.table.bed_run import (
     BOX,
     DRAGS,
@@ -223,7 +223,7 @@ def test_an_encoder_zero_that_is_off_is_fitted_too_and_the_payload_with_it(run, 
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, joints))
     motion_fit = TableFit(run.vehicle, "imu_base", signals._replace(q=signals.q + off), WIDE, {}, prior)
     plain = motion_fit.fit()
-    stepped = step(motion_fit, plain.fit)
+    stepped = joint_step(motion_fit, plain.fit)
     found, zeros = motion_fit.found(stepped.fit), stepped.joints
     assert zeros.names == tuple(f"zero_{name}" for name in joints)
     assert (np.abs(zeros.values + off) < 3.5 * zeros.sigma).all()
@@ -260,7 +260,7 @@ def test_an_open_place_along_the_vertical_leaves_the_payloads_height_open(run, r
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {"joint_5": JointPrior(place_m=0.01)}))
     motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, prior)
     plain = motion_fit.fit()
-    stepped = step(motion_fit, plain.fit)
+    stepped = joint_step(motion_fit, plain.fit)
     found, places = motion_fit.found(stepped.fit), stepped.joints
     before, after = (np.sqrt(one.payload.covariance[3, 3]) for one in (plain, found))
     assert before < 1e-3

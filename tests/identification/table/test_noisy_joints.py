@@ -6,7 +6,7 @@ import pytest
 from onboard.estimation.smoothing import SmoothingWindow, uncorrelated_s
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table.air_bearing import TableFit
-from onboard.identification.table.joints import step
+from onboard.identification.table.rivals import joint_step
 from tests.identification.table.bed_run import BOX, DRAGS, PAYLOAD, PRIOR, WIDE, fly, noisy, once_a_turn, vehicle
 
 WIDTH_s, RATE_rad_s, ACCELERATION_rad_s2 = 0.3, 4e-3, 0.1
@@ -75,7 +75,7 @@ def test_a_cyclic_error_of_an_encoder_is_an_unknown_of_the_run(clean):
     prior = PRIOR._replace(geometry=GeometryPrior(0.0, {joint: JointPrior(cyclic=((1.0, 0.006),))}))
     motion_fit = TableFit(vehicle(), "imu_base", signals, WIDE, {}, prior)
     plain = motion_fit.near(_truth(signals))
-    corrected = step(motion_fit, plain.fit)
+    corrected = joint_step(motion_fit, plain.fit)
     multiples = dict(zip(corrected.joints.names, corrected.joints.values, strict=True))
     assert list(multiples) == [f"cyclic_0_cos_{joint}", f"cyclic_0_sin_{joint}"]
     assert abs(multiples[f"cyclic_0_cos_{joint}"]) == pytest.approx(0.006, abs=3.5 * corrected.joints.sigma[0])

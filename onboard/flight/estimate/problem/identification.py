@@ -37,7 +37,6 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
 from onboard.flight.estimate.readings.torques import torque_cell
 from onboard.identification.free_flyer.online import MotionIdentifier
-from onboard.identification.free_flyer.prediction.flexible import require_stiff
 from onboard.identification.free_flyer.prediction.further import (
     CellPrior,
     Further,
@@ -48,14 +47,15 @@ from onboard.identification.free_flyer.prediction.further import (
 )
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
+from onboard.identification.free_flyer.prediction.parameters import require_stiff
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
 from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
 from onboard.identification.rows.checks.suspected import of_no_key
 from onboard.identification.rows.checks.suspects import RowSuspects
-from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
+from onboard.identification.rows.standard import free_body_quantities
 from onboard.identification.rows.stated_errors.considered import Considered, Start
 from onboard.identification.rows.stated_errors.whitening import Whitening
 from onboard.identification.table.run import TableRun

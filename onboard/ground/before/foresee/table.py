@@ -25,7 +25,7 @@ from onboard.ground.identify.kinds.table_log import table_prior, ticks_together,
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 from onboard.identification.standing import Level
 from onboard.identification.table.air_bearing import TableFit
-from onboard.identification.table.joints import bound
+from onboard.identification.table.rivals import bound
 
 
 def foresee_table(vehicle: config.Vehicle, plan: MotionPlan) -> Foreseen:

@@ -17,11 +17,10 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of
 from onboard.flight.estimate.problem.model import build_model, naming_the_file
 from onboard.ground.identify.kinds.identified import Identified, judged, standings
-from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel
+from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, TrackedPoses
 from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
 from onboard.identification.body.valves import Valve, valve_of_on_times
-from onboard.identification.body.windows import TrackedPoses
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Causes, Contribution, Findings, QuantityEstimate
 from onboard.identification.verdict import Evidence

@@ -21,8 +21,7 @@ from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.rls import Observability
 from onboard.flight.estimate.answers import INSTRUMENTS, change_of
 from onboard.flight.estimate.estimation import SUFFIX
-from onboard.ground.identify.kinds.identified import Identified, answers_of, judged, standings
-from onboard.ground.identify.kinds.residuals import Residuals, by_axis
+from onboard.ground.identify.kinds.identified import Identified, Residuals, answers_of, by_axis, judged, standings
 from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks

@@ -20,7 +20,7 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.misread import JointReading, exchanged, score, turned
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
-from onboard.identification.rows.checks.kept_ticks import MOST_TICKS
+from onboard.identification.rows.checks.remade import MOST_TICKS
 from onboard.identification.standing import Level
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader

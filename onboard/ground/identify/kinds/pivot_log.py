@@ -4,8 +4,7 @@ from onboard import config
 from onboard.estimation.gates import named_refusals
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
-from onboard.ground.identify.kinds.identified import Identified, judged, standings
-from onboard.ground.identify.kinds.residuals import by_axis
+from onboard.ground.identify.kinds.identified import Identified, by_axis, judged, standings
 from onboard.ground.identify.replay.feed import fed
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.verdict import Evidence

@@ -22,7 +22,7 @@ from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_pr
 from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
-from onboard.ground.identify.kinds.identified import Identified, answers_of
+from onboard.ground.identify.kinds.identified import Identified, answers_of, by_axis
 from onboard.ground.identify.kinds.likelihood_log import (
     CheckedFit,
     Kept,
@@ -31,7 +31,6 @@ from onboard.ground.identify.kinds.likelihood_log import (
     longest_held,
     no_answer,
 )
-from onboard.ground.identify.kinds.residuals import by_axis
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.corrections import contradicted

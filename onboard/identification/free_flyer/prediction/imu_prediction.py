@@ -22,7 +22,6 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.tracked_pose import MOTION, predict_pose, quaternion_of
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.identification.free_flyer.prediction.core import Changing, PredictionBegun, PredictionCore
-from onboard.identification.free_flyer.prediction.flexible import FlexibleJoints
 from onboard.identification.free_flyer.prediction.further import (
     DisturbancePrior,
     Further,
@@ -40,6 +39,7 @@ from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
 from onboard.identification.free_flyer.prediction.line_noise import sigma_of
 from onboard.identification.free_flyer.prediction.parameters import (
     EXACT_GEOMETRY,
+    FlexibleJoints,
     GeometryPrior,
     Own,
     UncertainLinks,
@@ -207,7 +207,7 @@ class ImuPredictor:
     def _core_of(self, samples: IndexArray, moved: JointErrors | None) -> PredictionCore:
         """The same for the compiled core; samples in a tick's mean of each line, errors of the joints if they move."""
         if self._flexible is not None:
-            from onboard.identification.free_flyer.prediction.moving_base import MovingBase  # noqa: PLC0415 - few have them
+            from onboard.identification.free_flyer.prediction.core import MovingBase  # noqa: PLC0415 - few have them
 
             parts = self.links, self.columns, self.joint_errors, self._flexible, self.thrusters
             self._base = MovingBase(self.vehicle, self.layout, *parts)

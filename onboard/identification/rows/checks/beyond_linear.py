@@ -24,8 +24,7 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.evidence.mixture import Known
-from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
-from onboard.identification.rows.checks.remade import MOVING, RowsRemade
+from onboard.identification.rows.checks.remade import MOVING, RowsRemade, SmoothedTicks
 from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED
 from onboard.identification.rows.stated_errors.considered import Considered
 

@@ -9,19 +9,73 @@ accelerations are first corrected for errors of the encoders, and readings for t
 with the specific force turned by how far the base is from level, and the wrench by how far the cells are turned in
 their mount. A gain is a base parameter or, where it is not estimated, an error. Derivatives by errors of motion are
 differences.
+
+Ticks are kept in constant memory.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from onboard.estimation.arrays import ROUNDING, FloatArray
-from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel
+
+MOST_TICKS = 400  # of signals smoothed over 0.2 s, what is independent in 80 s
+
+
+class SmoothedTicks(NamedTuple):
+    """Smoothed signals at t ticks of an arm on a fixed base with j joints, and m rows of each."""
+
+    time_s: FloatArray  # (t,)
+    q: FloatArray  # (t, j)
+    dq: FloatArray  # (t, j)
+    ddq: FloatArray  # (t, j)
+    jerk: FloatArray  # (t, j)
+    cyclic: FloatArray  # (t, 3, c) functions of the encoders' cyclic errors, and two derivatives
+    friction: FloatArray  # (t, motors) Coulomb friction of each over its level
+    force: FloatArray  # (t, 3) specific force of the base, m/s^2
+    attached: BoolArray  # (t,) whether the payload is held
+    measured: FloatArray  # (t, m), 0 where a row was not used
+    rate: FloatArray  # (t, m) of what is measured
+    weight: FloatArray  # (t, m) one over the variance of each row; 0 where it was not used
+
+    def at(self, which: slice | BoolArray) -> "SmoothedTicks":
+        """Some of them."""
+        return _of(part[which] for part in self)
+
+
+def _of(parts: Iterable[NDArray[Any]]) -> SmoothedTicks:
+    return SmoothedTicks(*parts)
+
+
+class KeptTicks:
+    """Every n-th of the ticks given, n doubled whenever more than :data:`MOST_TICKS` would be kept.
+
+    Attributes:
+        every: n.
+        ticks: those kept, if any.
+    """
+
+    def __init__(self) -> None:
+        self.every, self._given = 1, 0
+        self.ticks: SmoothedTicks | None = None
+
+    def add(self, ticks: SmoothedTicks) -> None:
+        """Takes further ticks in, later than all before."""
+        given = self._given + np.arange(len(ticks.time_s))
+        self._given += len(given)
+        more = ticks.at(np.asarray(given % self.every == 0))
+        if self.ticks is not None:
+            more = _of(np.concatenate(pair) for pair in zip(self.ticks, more, strict=True))
+        while len(more.time_s) > MOST_TICKS:
+            more, self.every = more.at(slice(None, None, 2)), 2 * self.every
+        self.ticks = more
+
 
 _STEP = 1e-6  # rad, relative or s, of a difference
 STEPS = 6  # places at which a cell's scale may step, each a seventh of the ticks from the next

@@ -46,8 +46,7 @@ from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
-from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
-from onboard.identification.rows.checks.remade import RowsRemade
+from onboard.identification.rows.checks.remade import KeptTicks, RowsRemade, SmoothedTicks
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED, explained

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.config.bases.parabola import Parabola
-from onboard.ground.identify.kinds.parabolas import Stage, cut, stages
+from onboard.ground.identify.kinds.parabolic_log import Stage, cut, stages
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 
 PERIOD_s, SIGMA_m_s2 = 0.01, 0.028

@@ -10,8 +10,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
-from onboard.identification.rows.checks.kept_ticks import SmoothedTicks
-from onboard.identification.rows.checks.remade import MOVING, RowsRemade, turned
+from onboard.identification.rows.checks.remade import MOVING, RowsRemade, SmoothedTicks, turned
 from onboard.identification.rows.checks.suspected import of_no_key, suspected
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import base_parameters

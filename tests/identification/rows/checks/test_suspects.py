@@ -9,9 +9,9 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.estimation.policy import LEAST_WEIGHT, sigmas
-from onboard.identification.rows.checks import kept_ticks, suspects
-from onboard.identification.rows.checks.kept_ticks import KeptTicks, SmoothedTicks
+from onboard.identification.rows.checks import remade, suspects
 from onboard.identification.rows.checks.prediction import prediction
+from onboard.identification.rows.checks.remade import KeptTicks, SmoothedTicks
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.stated_errors.considered import ConsideredErrors
 from onboard.identification.standing import Level
@@ -211,7 +211,7 @@ def test_answers_do_not_depend_on_when_they_are_asked_for():
 
 
 def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
-    monkeypatch.setattr(kept_ticks, "MOST_TICKS", 10)
+    monkeypatch.setattr(remade, "MOST_TICKS", 10)
     for parts in ([97], [1] * 97, [13, 40, 44]):
         kept, first = KeptTicks(), 0
         for count in parts:
