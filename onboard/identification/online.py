@@ -1,12 +1,24 @@
-"""Interface of the onboard estimators."""
+"""Interface of the onboard estimators, and the changes that they detect."""
 
-from typing import Protocol
+from typing import Final, NamedTuple, Protocol
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
-from onboard.identification.change import Change
 from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
+
+CONTACT_s: Final = 0.4  # of contact after a capture is detected: a grip of 4 Hz needs 0.5 s from the touch
+
+
+class Change(NamedTuple):
+    """A detected or announced change: of the payload, of an instrument, or a contact that changes nothing."""
+
+    kind: str  # "change" of which the kind is not known yet, then "capture", "ejection", "contact", "instrument" or
+    # "altered"; "release_contradicted", "capture_contradicted"; "left_out", "taken_back" of an instrument
+    time_s: float  # time of detection, or of the announcement
+    since_s: float  # earliest possible beginning
+    score: float  # sum of squared innovations per degree of freedom; NaN if announced
+    what: str = ""  # instrument or reason
 
 
 class OnlineIdentifier(Protocol):

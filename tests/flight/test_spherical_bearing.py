@@ -19,7 +19,7 @@ from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.estimator import Estimator
 from onboard.flight.estimate.problem.identification import build_online
 from onboard.ground.identify.identify import identify
-from onboard.ground.identify.kinds import pivot_log
+from onboard.ground.identify.kinds import table_log
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.replay.feed import fed, feed
 from onboard.ground.identify.replay.replay import replay
@@ -70,7 +70,7 @@ def kept(flown: Result) -> Kept:
         fed(estimator, log)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pivot_log, "fed", watched)
+        patch.setattr(table_log, "fed", watched)
         [found] = identify(config.load(config.packaged("spherical_bearing")), [flown.path]).logs
     [run] = runs
     rows = [*flown.table["centres"], *flown.table["inertias"]]

@@ -28,7 +28,7 @@ from onboard.ground.identify.replay.feed import feed
 from onboard.ground.report.flight.base_rate import base_rate
 from onboard.ground.report.flight.flight_data import FlightData, gather
 from onboard.ground.report.flight.sections import base_rate_section
-from onboard.identification.change import Change
+from onboard.identification.online import Change
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.recording.writer import LogWriter

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from drivers.records import EVENT, Batch, Rows, Severity, event
 from onboard import channels, config
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.innovation import ReferenceErrors
+from onboard.identification.online import Change
 from onboard.identification.quantities import Estimate, Findings, Useful, outer_of, sizes
 from onboard.identification.standing import LEVELS, Level, Standing, standing
 from onboard.recording.format.texts import listed

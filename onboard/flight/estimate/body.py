@@ -14,8 +14,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.estimation.policy import MOSTLY
 from onboard.flight.estimate.problem.sigma_keys import key_in
 from onboard.identification.body.fit import BodyModel
-from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
-from onboard.identification.body.valves import Valve
+from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker, Valve
 
 _OF_THRUSTERS = {"turn": "turn", "lever": "place", "leak": "leak", "delay": "each_delay"}
 _OF_TRACKER = {"turn": "misalignment_sigma_rad", "place": "place_sigma_m", "scale": "scale_sigma"}

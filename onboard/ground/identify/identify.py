@@ -30,8 +30,7 @@ from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, KeptRows, judged, standings
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas
-from onboard.ground.identify.kinds.pivot_log import identify_pivot
-from onboard.ground.identify.kinds.table_log import identify_table
+from onboard.ground.identify.kinds.table_log import identify_pivot, identify_table
 from onboard.ground.identify.kinds.throws import LoadSummary, Throw, ThrowCalibration
 from onboard.ground.identify.replay.as_recorded import as_recorded
 from onboard.ground.identify.replay.feed import check_channels, check_times, check_units, fed, feed_rows
@@ -39,10 +38,15 @@ from onboard.identification.observability import essential, observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
-from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
+from onboard.identification.rows.standard import (
+    FittedLink,
+    fitted_drawing,
+    identified_links,
+    standard_posterior,
+    without_rotors,
+)
 from onboard.identification.standing import Level
 from onboard.identification.verdict import Evidence
 from onboard.recording.format.errors import ChannelError

@@ -22,8 +22,7 @@ from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINI
 from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY, ODDS_OF_PART
 from onboard.identification.body.sampling import DrivenWindow, Lateness, Whitener, by_steps, lateness, whitener
 from onboard.identification.body.start import PoseAxes, PoseWindow, Products, guess, products, state
-from onboard.identification.body.stated import BodySigmas, Thrusters, Tracker
-from onboard.identification.body.valves import Opening
+from onboard.identification.body.stated import BodySigmas, Opening, Thrusters, Tracker
 from onboard.identification.free_flyer.prediction.parameters import UnknownLayout, Unknowns
 from onboard.identification.windows import SHORTEST, Part, WINDOW_s, WindowedFit, judged, total
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.identification.body.valves import Edges
+from onboard.identification.body.stated import Edges
 
 _NEGLIGIBLE = 0.1  # of the noise: a direction with so little more, half a per cent of a sigma, is left as it is
 

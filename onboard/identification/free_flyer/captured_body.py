@@ -13,7 +13,6 @@ import numpy as np
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.policy import HALF
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
@@ -26,6 +25,7 @@ from onboard.identification.free_flyer.before_capture import (
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
+from onboard.identification.online import Change
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 
 NAMES: Final = tuple(f"{kind}_before_capture_{axis}" for kind in ("velocity", "rate") for axis in "xyz")

@@ -9,8 +9,7 @@ when it has agreed for ``_AGREES_BATCHES`` in a row, once; a tracker never, as a
 show is not known. What errors of scale do over longer times the bank of hypotheses weighs. The reference, the first IMU
 in use, is not tested so: what contradicts the model there is a change, which the filter detects. Where it is itself the
 wrong one, a window is explained without it (:mod:`onboard.identification.free_flyer.recursion.trials`), and the next
-IMU becomes the reference.
-One that gives no readings for a second is left out as well.
+IMU becomes the reference. One that gives no readings for a second is left out as well.
 """
 
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from scipy.special import chdtrc
 from onboard.dynamics.tracked_pose import LINES
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import MOSTLY, READING
-from onboard.identification.change import Change
+from onboard.identification.online import Change
 
 _PATIENCE_BATCHES = 5  # refused, or accused, in a row: those in which a change is detected
 _AGREES_BATCHES = 100  # in a row: it is used again

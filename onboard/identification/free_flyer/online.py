@@ -15,7 +15,6 @@ from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.gates import GateReason, ReasonArray, count_refused, none_refused
 from onboard.estimation.policy import DOUBT, MISFIT_DOUBTED, MISFIT_PART, REFUSE, contradicted_text, too_often
-from onboard.identification.change import Change
 from onboard.identification.corrections import DOUBTFUL, contradicted, doubtful_from, misfit_text, too_large
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import REPORTED, Known, Mixture
@@ -31,6 +30,7 @@ from onboard.identification.free_flyer.recursion.bounded_work import last_work
 from onboard.identification.free_flyer.recursion.lines import RECENT_s
 from onboard.identification.free_flyer.recursion.recursive import DETERMINED, MotionFilter, feed_filter
 from onboard.identification.free_flyer.recursion.solved import SOLVED_AT_s
+from onboard.identification.online import Change
 from onboard.identification.quantities import (
     BODY,
     BODY_UNITS,
@@ -97,7 +97,7 @@ class MotionIdentifier(TickIdentifier):
 
     A quantity is supported if the data, not the prior, determine it; all but the mass also require a sigma of the mass
     of at most a fifth of it. Variances are multiplied by the innovations' misfit, of the instrument that has the
-    largest, where that is above one (:mod:`onboard.identification.free_flyer.misfit`).
+    largest, where that is above one (:mod:`onboard.identification.free_flyer.innovation`).
 
     Args:
         ekf: the estimator.

@@ -5,8 +5,8 @@ with the payload released, and still held. Rules:
 
 - An identifier is *contradicted* when its own findings refuse its estimate.
 - While the one with all instruments, as reported, is not contradicted, it is selected; its intervals hold what an error
-  of a gain does that the others show (:mod:`onboard.identification.rows.checks.gain`). Where two that each leave one
-  instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on one of these
+  of a gain does that the others show (:mod:`onboard.identification.rows.checks.agreement`). Where two that each leave
+  one instrument out differ by more than 3.1 sigmas of the stated errors it is doubtful, and from 4.8 on one of these
   instruments is wrong. This stays so when they draw nearer: rows of the wrong instrument are not forgotten.
 - Then each that leaves an instrument out and is not contradicted is weighed by its answers on parts that the drawing
   knows, as nothing else distinguishes two gains. If a single identifier remains it is selected and its left-out
@@ -27,9 +27,9 @@ import numpy as np
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import GateReason, ReasonArray
 from onboard.estimation.policy import DOUBLINGS, HALF, LEAST_WEIGHT, ODDS
-from onboard.identification.change import Change
 from onboard.identification.corrections import doubtful_from, refused_from
 from onboard.identification.evidence.mixture import REPORTED, Mixture
+from onboard.identification.online import Change
 from onboard.identification.quantities import Estimate, Findings, QuantityEstimate
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.likelihood import nats

@@ -17,7 +17,7 @@ from onboard.estimation.recursive import jackknives
 from onboard.estimation.recursive.consistency import JackknifeEstimate
 from onboard.estimation.recursive.least_squares import RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
-from onboard.identification.change import Change
+from onboard.identification.online import Change
 from onboard.identification.quantities import SUPPORTED_FREEDOM, SUPPORTED_SHRINKAGE, Estimate, Findings, Quantity
 from onboard.identification.rows.checks.agreement import InstrumentFit, but_gains, instrument_fits, with_stated
 from onboard.identification.rows.checks.prediction import prediction, without_unknown

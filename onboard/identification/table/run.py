@@ -9,9 +9,9 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.gates import ReasonArray, count_refused
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.online import TickIdentifier
 from onboard.identification.free_flyer.prediction.ticks import gated
+from onboard.identification.online import Change
 from onboard.identification.quantities import Estimate, Findings
 from onboard.regressor.signals import Signals
 

@@ -10,7 +10,7 @@ from onboard.estimation.arrays import FloatArray, IndexArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import Fit, Normal
 from onboard.estimation.policy import MISFIT_REFUSED
-from onboard.identification.free_flyer.misfit import beyond_chance
+from onboard.identification.free_flyer.innovation import beyond_chance
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction

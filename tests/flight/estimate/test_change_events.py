@@ -5,7 +5,7 @@ import pytest
 
 from drivers.records import Severity, event
 from onboard.flight.estimate.answers import PAYLOAD_CHANGES, change_event, change_of
-from onboard.identification.change import Change
+from onboard.identification.online import Change
 
 
 @pytest.mark.parametrize("kind", PAYLOAD_CHANGES)

@@ -20,7 +20,7 @@ from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.answers import change_event
 from onboard.flight.estimate.hand_over import HandOver, check
 from onboard.flight.estimate.problem.model import build_model
-from onboard.identification.change import Change
+from onboard.identification.online import Change
 from onboard.identification.quantities import BODY, BODY_UNITS
 
 S = 1_000_000_000

@@ -19,9 +19,9 @@ from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.kinds import free_flyer_log
 from onboard.ground.identify.kinds.likelihood_log import longest_held
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter
+from onboard.identification.online import Change
 from onboard.identification.standing import Level
 from onboard.identification.whole_flight import witnesses
 from onboard.identification.whole_flight.segments import in_windows

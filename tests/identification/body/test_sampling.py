@@ -5,7 +5,7 @@ import pytest
 
 from onboard.dynamics.floating import Floating, predict_floating
 from onboard.identification.body.sampling import DrivenWindow, by_steps, lateness, whitener
-from onboard.identification.body.valves import Edges, Opening, Valve
+from onboard.identification.body.stated import Edges, Opening, Valve
 
 STEP, STEPS = 0.02, 100
 EACH = np.array([[0.08, 0.03, 0.6], [-0.02, 0.05, -0.9]])  # accelerations by two thrusters, m/s^2, rad/s^2

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil_sim.plants import free_flyer
-from onboard.identification.change import Change
 from onboard.identification.free_flyer import captured_body as module
 from onboard.identification.free_flyer.before_capture import Payload, before_capture
 from onboard.identification.free_flyer.captured_body import NAMES, CapturedBody
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
+from onboard.identification.online import Change
 from tests.identification.free_flyer.captures import LARGE, Case
 
 CAPTURE_s, END_s, BATCH = 3.0, 9.0, 10

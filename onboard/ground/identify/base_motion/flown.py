@@ -23,8 +23,8 @@ from onboard.ground.identify.kinds.likelihood_log import answer_in, runs_of
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.ground.log.tables.source import Interleaved
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.online import Change
 from onboard.identification.windows import SHORTEST
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader

@@ -20,7 +20,7 @@ from onboard.ground.identify.kinds.identified import Identified, judged, standin
 from onboard.identification.body.fit import BODY, STATE, BodyFit, BodyModel, TrackedPoses
 from onboard.identification.body.glitches import glitches
 from onboard.identification.body.misread import others
-from onboard.identification.body.valves import Valve, valve_of_on_times
+from onboard.identification.body.stated import Valve, valve_of_on_times
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Causes, Contribution, Findings, QuantityEstimate
 from onboard.identification.verdict import Evidence

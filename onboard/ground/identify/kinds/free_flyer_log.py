@@ -30,7 +30,6 @@ from onboard.ground.identify.kinds import likelihood_log
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
-from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.free_flyer.before_capture import ANNOUNCED_s, BeforeCapture, Payload, Zeros, before_capture
 from onboard.identification.free_flyer.misread import mistaken
 from onboard.identification.free_flyer.online import MotionIdentifier
@@ -38,6 +37,7 @@ from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD,
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.recursive import feed_filter
 from onboard.identification.free_flyer.steps import JumpedJoint
+from onboard.identification.online import Change, CONTACT_s
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.segments import Changed, Segment, in_windows, pushed
 from onboard.identification.whole_flight.witnesses import Tested, fitted

@@ -22,10 +22,10 @@ from onboard.estimation.recursive.rls import Observability
 from onboard.flight.estimate.answers import INSTRUMENTS, change_of
 from onboard.flight.estimate.estimation import SUFFIX
 from onboard.ground.identify.kinds.identified import Identified, Residuals, answers_of, by_axis, judged, standings
-from onboard.identification.change import Change, CONTACT_s
 from onboard.identification.corrections import doubtful
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.observability import observed_directions
+from onboard.identification.online import Change, CONTACT_s
 from onboard.identification.quantities import BODY, BODY_UNITS, SUPPORTED_SHRINKAGE, Findings, QuantityEstimate, Useful
 from onboard.identification.rows.held_out import HeldOut
 from onboard.identification.rows.standard import link_estimate

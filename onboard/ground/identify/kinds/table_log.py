@@ -1,8 +1,10 @@
-"""``heft identify`` of a run on an air-bearing table: payload and drag of each puck by maximum likelihood.
+"""``heft identify`` of a run on an air bearing: of a table, payload and drag of each puck; spherical, the body.
 
-The onboard estimator makes the ticks; the longest interval with the payload in the identification phases is then fitted
-in one batch. Payload and drag of each half predict the other half
+Of a table the onboard estimator makes the ticks; the longest interval with the payload in the identification phases is
+then fitted in one batch. Payload and drag of each half predict the other half
 (:func:`onboard.identification.free_flyer.batch.held_out`), with velocity and tilt at its first tick re-estimated.
+
+On a spherical bearing it is the onboard estimator's fit of all ticks.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,7 +24,7 @@ from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_pr
 from onboard.flight.estimate.problem.table import build_table
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.flight.estimate.readings.signals import kernel_of
-from onboard.ground.identify.kinds.identified import Identified, answers_of, by_axis
+from onboard.ground.identify.kinds.identified import Identified, answers_of, by_axis, judged, standings
 from onboard.ground.identify.kinds.likelihood_log import (
     CheckedFit,
     Kept,
@@ -36,10 +38,11 @@ from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
 from onboard.identification.corrections import contradicted
 from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_out
 from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
 from onboard.identification.table import air_bearing
 from onboard.identification.table.rivals import answered
-from onboard.identification.verdict import TOO_SHORT
+from onboard.identification.verdict import TOO_SHORT, Evidence
 from onboard.identification.windows import SHORTEST
 from onboard.recording.reader import LogReader
 from onboard.regressor.signals import Signals
@@ -183,3 +186,33 @@ def _drags(
     fine = np.asarray(sigma <= SUPPORTED_SHRINKAGE * known, np.bool_)
     units = ["N s/m", "N"] * len(pucks)
     return answers_of(drag.names, units, drag.drag, sigma, fine, drag.sigma), drag.reason
+
+
+def identify_pivot(vehicle: config.Vehicle, log: LogReader) -> Identified:
+    """Estimate of a body on a pivot.
+
+    Raises:
+        ConfigError: the estimation section does not fit the URDF or the devices.
+        ChannelError: a log of another vehicle.
+    """
+    estimator = Estimator(vehicle, at_the_end=True)
+    run = estimator.online
+    assert isinstance(run, PivotRun)
+    run.wait()
+    fed(estimator, log)
+    answers = tuple(
+        one._replace(bound=bound) for one, bound in zip(run.estimate().quantities, run.bounds().tolist(), strict=True)
+    )
+    evidence = Evidence(
+        run.rows_used,
+        named_refusals(run.refused),
+        {one.name: one.supported for one in answers},
+        None,
+        failure=f"the fit failed: {run.failure}" if run.failure else "",
+        findings=run.findings(),
+        standings=standings(answers, useful_of(vehicle)),
+        unchecked="",  # its windows are held against each other
+    )
+    misfit = None if run.found is None else max(run.found.by_sensor)
+    residuals = {} if run.found is None else by_axis(*run.residuals(), 1.0 / vehicle.file.estimation.row_rate_hz)
+    return judged(log, evidence, answers, misfit=misfit, budget=run.budget(), residuals=residuals)

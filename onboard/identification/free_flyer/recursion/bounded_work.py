@@ -1,10 +1,10 @@
 """Ticks and announcements that wait for a filter, and the bound on what it does in one call.
 
-Per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve
-is done in the calls that follow; ticks wait meanwhile, and are processed in the same order as without the bound. A
-call that comes late brings more ticks, but no more work than their filter steps: else it would be the reason why the
-next one is later. A window is solved by :meth:`BoundedWork.work`, so that what ticks give without it is reported
-first; ticks that waited for it are processed there, too.
+Per tick taken in, :data:`WORK` ticks are predicted, and what is left of a window's solve is done in the calls that
+follow; ticks wait meanwhile, and are processed in the same order as without the bound. A call that comes late brings
+more ticks, but no more work than their filter steps: else it would be the reason why the next one is later. A window is
+solved by :meth:`BoundedWork.work`, so that what ticks give without it is reported first; ticks that waited for it are
+processed there, too.
 """
 
 from abc import ABC, abstractmethod
@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import gaps
-from onboard.identification.free_flyer.prediction.joint_gaps import JointGaps
-from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, JointGaps, Ticks
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.regressor.signals import EncoderJump
@@ -147,7 +146,7 @@ class BoundedWork(ABC):
     def announce(self, held: bool, time_s: float) -> None:
         """Take the announcement of a capture or a release, after the ticks taken in so far; no effect if known.
 
-        It is a claim that the motion can contradict (:mod:`onboard.identification.free_flyer.recursion.claims`).
+        It is a claim that the motion can contradict (:mod:`onboard.identification.free_flyer.recursion.solved`).
         """
         self._inbox.append(_Announcement(held, time_s))
         self._do(0, solves=False)

@@ -23,7 +23,7 @@ from scipy.special import chdtrc
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.policy import DOUBT, MOSTLY, of_each
-from onboard.identification.change import CONTACT_s
+from onboard.identification.online import CONTACT_s
 
 _BLOCK_s = 8.0
 _BLOCKS = round(3600.0 / _BLOCK_s)  # of an hour; as many times half-second sums are all new ones

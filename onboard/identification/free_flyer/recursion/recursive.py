@@ -26,20 +26,19 @@ import numpy as np
 from onboard.estimation.arrays import BoolArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.policy import HALF
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.fusion import Accusation
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise, sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
-from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s, after_a_change, kind_of
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import Exclusion, WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.recursion.windowed import Windowed, WINDOWS_s
 from onboard.identification.free_flyer.steps import JumpedJoint
+from onboard.identification.online import Change
 from onboard.identification.quantities import Useful
 from onboard.regressor.signals import EncoderJump
 

@@ -7,28 +7,26 @@ import numpy as np
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
-from onboard.identification.change import Change
 from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.fusion import Accusation, Fusion
-from onboard.identification.free_flyer.innovation import Innovations
-from onboard.identification.free_flyer.misfit import InnovationMisfit
+from onboard.identification.free_flyer.innovation import InnovationMisfit, Innovations
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection, correction_of
 from onboard.identification.free_flyer.prediction.line_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
 from onboard.identification.free_flyer.recursion.bounded_work import BoundedWork
-from onboard.identification.free_flyer.recursion.claims import Claim, at_first
 from onboard.identification.free_flyer.recursion.linearised import Linearised
 from onboard.identification.free_flyer.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.free_flyer.recursion.rounds import WindowRounds
 from onboard.identification.free_flyer.recursion.snapshots import Before, Snapshots, initially
-from onboard.identification.free_flyer.recursion.solved import HeldPayload, SOLVED_AT_s
+from onboard.identification.free_flyer.recursion.solved import Claim, HeldPayload, SOLVED_AT_s, at_first
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.suspects import Rivals
+from onboard.identification.online import Change
 
 WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 

@@ -16,8 +16,8 @@ from onboard.flight.estimate.asking import Asking
 from onboard.flight.estimate.estimator import Estimator
 from onboard.ground.log.tables import truth
 from onboard.ground.log.tables.vehicle_file import vehicle_of
-from onboard.identification.change import Change
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
+from onboard.identification.online import Change
 from onboard.recording.reader import LogReader
 from tests.ground.before.planning.test_planning import SCENARIO
 

@@ -9,7 +9,7 @@ import pytest
 from bench.floating_bed import THRUSTERS, UnstatedErrors, fly, write
 from onboard.cli import OK, main
 from onboard.identification.body.fit import BodyModel
-from onboard.identification.body.valves import Opening, valve_of_on_times
+from onboard.identification.body.stated import Opening, valve_of_on_times
 
 STATED = {
     "# mass_sigma": "mass_sigma",

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
-from onboard.identification.free_flyer.prediction.joint_gaps import JointGaps, LONGEST_s
-from onboard.identification.free_flyer.prediction.ticks import Ticks
+from onboard.identification.free_flyer.prediction.ticks import JointGaps, LONGEST_s, Ticks
 from tests.identification.free_flyer.recorded_flights import online, ticks_of
 
 

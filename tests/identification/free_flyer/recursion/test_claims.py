@@ -2,8 +2,7 @@
 
 import pytest
 
-from onboard.identification.free_flyer.recursion.claims import after_a_change, kind_of
-from onboard.identification.free_flyer.recursion.solved import HeldPayload
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, after_a_change, kind_of
 
 NOTHING, SAME, NEW = HeldPayload.NOTHING, HeldPayload.SAME, HeldPayload.NEW
 

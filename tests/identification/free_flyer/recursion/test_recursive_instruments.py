@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.free_flyer.prediction.joint_gaps import LONGEST_s
-from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
+from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, LONGEST_s
 from tests.identification.free_flyer.recorded_flights import online, ticks_of
 
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from onboard.identification.rows.checks.agreement import (
+    Blocks,
+    GainTests,
     InstrumentFit,
     instrument_fits,
     judged_between,
     judged_fit,
     with_stated,
 )
-from onboard.identification.rows.checks.gain import Blocks, GainTests
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 
