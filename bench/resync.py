@@ -24,7 +24,7 @@ from hil_sim.sensing.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
-from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit, PayloadFit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.timebase.resync import ResyncError
 
@@ -62,7 +62,7 @@ def fly(seed: int) -> ResyncFlight:
     rng, model, body = np.random.default_rng(seed), vehicle(), BOXES[PAYLOAD_KG]
 
     def build(signals: FlightSignals, imu_prior: ImuPrior) -> MotionFit:
-        return free_fit(model, "imu_base", signals, PAYLOAD_SIGMA, {}, imu_prior)
+        return MotionFit(FreeBase(model, signals), "imu_base", PAYLOAD_SIGMA, {}, imu_prior)
 
     motion = free_flyer.JointMotion.draw(rng)
     flight = free_flyer.fly(free_flyer.world(body), motion, rng.uniform(-0.05, 0.05, 3), DURATION_S)

@@ -15,7 +15,7 @@ from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightResult
-from onboard.identification.free_flyer.batch import MotionFit, free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
@@ -78,7 +78,7 @@ def flight(seed: int, settings: dict[str, Any]) -> FlightResult:
     body = case.grown_tool(seed) if settings["payload"] == "tool" else case.BOXES[settings["payload"]]
     recorded, model = case.record(body, real, seed), case.vehicle()
     signals, known = recorded.signals, case.priors(model, real)
-    motion_fit = free_fit(model, "imu_base", signals, case.PAYLOAD_SIGMA, *known)
+    motion_fit = MotionFit(FreeBase(model, signals), "imu_base", case.PAYLOAD_SIGMA, *known)
     told = Inputs(motion_fit, estimator(model, signals, *known, held=True), ticks_of(signals))
     try:
         found = METHODS[settings["method"]](told)

@@ -368,15 +368,3 @@ class FreeBase:
     def rough_payload(self, imu_frame: str, payload_sigma: FloatArray) -> RigidBody:
         """See :func:`onboard.regressor.free_rows.rough_payload`."""
         return rough_payload(self.vehicle, imu_frame, self.signals, ROUGH_WIDTH_s, payload_sigma)
-
-
-def free_fit(
-    vehicle: VehicleModel,
-    imu_frame: str,
-    signals: FlightSignals,
-    payload_sigma: FloatArray,
-    link_covariance: Mapping[str, FloatArray],
-    imu_prior: ImuPrior = CERTAIN,
-) -> MotionFit:
-    """The fit of a free flight; arguments and errors as :class:`FreeBase` and :class:`MotionFit` have them."""
-    return MotionFit(FreeBase(vehicle, signals), imu_frame, payload_sigma, link_covariance, imu_prior)

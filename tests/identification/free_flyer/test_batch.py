@@ -10,7 +10,7 @@ from onboard.dynamics.model.payload import numbers_of, standard_covariance, stan
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
-from onboard.identification.free_flyer.batch import free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
 from onboard.regressor.free_rows import measured_base, rough_payload, zero_wrench_rows
 from tests.dynamics.free_flyer_twin import PAYLOAD, URDF, twin
@@ -30,14 +30,14 @@ def ticks(samples):
 
 
 def test_without_noise_the_payload_is_the_truth(flown, rng):
-    found = free_fit(flown.vehicle, "imu_base", ticks(flown.samples(rng, noise=False)), WIDE, {}).fit()
+    found = MotionFit(FreeBase(flown.vehicle, ticks(flown.samples(rng, noise=False))), "imu_base", WIDE, {}).fit()
     assert found.payload.body.mass_kg == pytest.approx(5.0, rel=1e-5)
     np.testing.assert_allclose(numbers_of(found.payload.body), numbers_of(PAYLOAD), atol=5e-5)
 
 
 def test_with_datasheet_noise_the_error_is_what_the_covariance_says(flown, rng):
     signals = ticks(flown.samples(rng))
-    motion_fit = free_fit(flown.vehicle, "imu_base", signals, WIDE, {})
+    motion_fit = MotionFit(FreeBase(flown.vehicle, signals), "imu_base", WIDE, {})
     found = motion_fit.fit()
     error = numbers_of(found.payload.body) - numbers_of(PAYLOAD)
     chi_squared = error @ np.linalg.solve(found.payload.covariance, error)
@@ -56,7 +56,7 @@ def test_plain_least_squares_is_biased_where_this_is_not(flown, rng):
     Y, y = zero_wrench_rows(flown.vehicle, signals.q, signals.dq, signals.ddq, base)
     whole = np.isfinite(y).all(axis=1)
     plain = np.linalg.lstsq(Y[whole].reshape(-1, 10), y[whole].ravel())[0]
-    found = free_fit(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
+    found = MotionFit(FreeBase(flown.vehicle, signals), "imu_base", WIDE, {}).fit()
     assert plain[0] < 0.98 * 5.0
     assert abs(found.payload.body.mass_kg - 5.0) < 0.1 * abs(plain[0] - 5.0)
 
@@ -71,12 +71,12 @@ def test_the_rough_start_knows_the_accelerometers_zero(flown, rng):
 
 def test_uncertain_sensor_and_links_widen_the_interval_and_it_still_holds(flown, rng):
     signals = ticks(flown.samples(rng, ERRORS))
-    certain = free_fit(flown.vehicle, "imu_base", signals, WIDE, {}).fit()
+    certain = MotionFit(FreeBase(flown.vehicle, signals), "imu_base", WIDE, {}).fit()
     links = {
         name: standard_covariance(flown.vehicle.chi[10 * k : 10 * k + 10], 0.01, 1e-3, 0.01)
         for k, name in enumerate(flown.vehicle.links[:-1])
     }
-    uncertain = free_fit(flown.vehicle, "imu_base", signals, WIDE, links, PRIOR)
+    uncertain = MotionFit(FreeBase(flown.vehicle, signals), "imu_base", WIDE, links, PRIOR)
     found = uncertain.fit()
     error = numbers_of(found.payload.body) - numbers_of(PAYLOAD)
     assert error @ np.linalg.solve(found.payload.covariance, error) < 29.6
@@ -89,7 +89,7 @@ def test_uncertain_sensor_and_links_widen_the_interval_and_it_still_holds(flown,
 def test_derivatives_are_finite_differences(flown, rng):
     links = {"link_5": standard_covariance(flown.vehicle.chi[50:60], 0.01, 1e-3, 0.01)}
     imu_prior = PRIOR._replace(clock_rate_error=1e-4)
-    motion_fit = free_fit(flown.vehicle, "imu_base", ticks(flown.samples(rng)), WIDE, links, imu_prior)
+    motion_fit = MotionFit(FreeBase(flown.vehicle, ticks(flown.samples(rng))), "imu_base", WIDE, links, imu_prior)
     x = motion_fit.parameters(np.array([0.1, -0.2, 0.3]), PAYLOAD)
     x[13:] = 1e-3 * rng.normal(size=x.size - 13)
     x[-2:] = 1e-5, 1e-6  # s, 1: how the other columns feel delay and clock rate error is left out of them
@@ -104,7 +104,7 @@ def test_ticks_without_an_imu_are_left_out(flown, rng):
     signals = ticks(flown.samples(rng))
     for hole in (slice(100, 220), slice(400, 401)):
         signals.rate[hole] = np.nan
-    motion_fit = free_fit(flown.vehicle, "imu_base", signals, WIDE, {})
+    motion_fit = MotionFit(FreeBase(flown.vehicle, signals), "imu_base", WIDE, {})
     found = motion_fit.fit()
     assert len(motion_fit.residuals(found.fit.x)[0]) == 6 * (len(signals.q) - 121)
     assert abs(found.payload.body.mass_kg - 5.0) < 4.0 * np.sqrt(found.payload.covariance[0, 0])
@@ -114,7 +114,7 @@ def test_swapped_axes_are_an_error_or_a_misfit_never_a_number(flown, rng):
     samples = flown.samples(rng)
     wrong = samples._replace(rate_rad_s=samples.rate_rad_s[:, [1, 0, 2]])
     try:
-        found = free_fit(flown.vehicle, "imu_base", ticks(wrong), WIDE, {}).fit()
+        found = MotionFit(FreeBase(flown.vehicle, ticks(wrong)), "imu_base", WIDE, {}).fit()
     except (ConvergenceError, SignalError):
         return
     assert found.misfit > 2.0
@@ -133,7 +133,7 @@ def test_swapped_axes_are_an_error_or_a_misfit_never_a_number(flown, rng):
 def test_names_that_do_not_fit_are_refused(flown, rng, payload, imu, links, message):
     vehicle = VehicleModel(URDF.read_text(), VehicleSpec(BaseKind.FREE, "base", payload))
     with pytest.raises(UnknownFrameError, match=message):
-        free_fit(vehicle, imu, ticks(flown.samples(rng)), WIDE, links, CERTAIN)
+        MotionFit(FreeBase(vehicle, ticks(flown.samples(rng))), imu, WIDE, links, CERTAIN)
 
 
 def test_samples_off_their_grid_are_refused(flown, rng):

@@ -35,7 +35,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue
 from onboard.ground.log.tables.flight_tables import FlightTables
 from onboard.ground.log.tables.vehicle_time import UNKNOWN
-from onboard.identification.free_flyer.batch import MotionFit, free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.recording.reader import LogReader
 from onboard.timebase.resync import Alignment, RecorderStream, ResyncError, align, shocks
@@ -229,7 +229,7 @@ def _through_the_model(
     recorded = RecordedPair(seen[0].time_s, seen[0].values, seen[1].values, (noise[0], noise[-1]), own_s, angle)
 
     def build(signals: FlightSignals, imu_prior: ImuPrior) -> MotionFit:
-        return free_fit(model, frame, signals, ANY_PAYLOAD, {}, imu_prior)
+        return MotionFit(FreeBase(model, signals), frame, ANY_PAYLOAD, {}, imu_prior)
 
     found = rescue(recorded, coarse_clocks(model, recorded, rate_limit), build, UNCALIBRATED)
     clock = found.clock

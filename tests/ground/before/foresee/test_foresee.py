@@ -35,7 +35,7 @@ from onboard.ground.before.foresee.foreseen import render
 from onboard.ground.before.foresee.plan import MotionNoise, MotionPlan, plan_of
 from onboard.ground.before.foresee.rows import StatedNoise
 from onboard.ground.before.init.vehicle import NewVehicle, make
-from onboard.identification.free_flyer.batch import free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.standing import Level
 from onboard.regressor.rows import standing
@@ -130,7 +130,7 @@ def by_batch(vehicle, plan, parked=None):
     period_s, nothing = 1.0 / vehicle.file.estimation.row_rate_hz, np.zeros((len(q), 3))
     noise = [np.full(3, sigma / np.sqrt(10.0)) for sigma in (1.95e-3, 0.088)]
     signals = FlightSignals(period_s, q, dq, ddq, nothing, nothing, *noise, 10)
-    motion_fit = free_fit(model, "imu_base", signals, payload_sigma, links, ImuPrior(**imu_prior._asdict()))
+    motion_fit = MotionFit(FreeBase(model, signals), "imu_base", payload_sigma, links, ImuPrior(**imu_prior._asdict()))
     chi = model.chi.copy()
     chi[model.payload_columns()] = standard_of(plan.payload)
     base = predict_base_from_rate(link_motions(model, q, dq, ddq), period_s, chi, plan.rate_rad_s, ())

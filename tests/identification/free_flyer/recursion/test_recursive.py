@@ -10,7 +10,7 @@ import pytest
 from hil_sim.plants import free_flyer
 from hil_sim.sensing.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
-from onboard.identification.free_flyer.batch import free_fit
+from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
@@ -25,7 +25,7 @@ def test_it_ends_where_the_maximum_likelihood_of_the_whole_flight_does(held):
     recursive = online(held)
     recursive.update(ticks_of(held))
     np.testing.assert_array_equal(recursive.covariance, recursive.covariance.T)  # no rounding adds up over steps
-    whole = free_fit(recursive.predictor.vehicle, "imu_base", held, WIDE, {}, BIASES).fit()
+    whole = MotionFit(FreeBase(recursive.predictor.vehicle, held), "imu_base", WIDE, {}, BIASES).fit()
     found, sigma = recursive.estimate(), np.sqrt(np.diag(whole.chi_covariance))
     a_fifth_of_a_sigma = 0.2
     assert np.abs(recursive.state[PAYLOAD] - whole.chi).max() < a_fifth_of_a_sigma * sigma.max()
