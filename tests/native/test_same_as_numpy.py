@@ -15,8 +15,7 @@ from onboard.estimation import kinematics, smoothing
 from onboard.identification.evidence.bank import Bank, Changed, Suspect
 from onboard.identification.free_flyer.prediction.further import PlacedImu, cuts_of
 from onboard.identification.free_flyer.prediction.imu_errors import SIZE, gain_of, imu_reading, whitened
-from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
-from onboard.identification.free_flyer.prediction.line_noise import sigma_of
+from onboard.identification.free_flyer.prediction.joint_noise import JointNoise, sigma_of
 from onboard.identification.free_flyer.prediction.scaled import Scaled
 from onboard.native import build, library
 from onboard.native.errors import ArrayError

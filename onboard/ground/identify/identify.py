@@ -25,8 +25,7 @@ from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.identify.kinds import throws
 from onboard.ground.identify.kinds.body_log import identify_body
-from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer
-from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
+from onboard.ground.identify.kinds.free_flyer_log import identify_free_flyer, with_chosen_width
 from onboard.ground.identify.kinds.identified import Identified, KeptRows, judged, standings
 from onboard.ground.identify.kinds.misread_arm import with_mistake
 from onboard.ground.identify.kinds.parabolic_log import identify_parabolas

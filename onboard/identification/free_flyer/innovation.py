@@ -1,10 +1,15 @@
-"""Whitened innovations of a batch of ticks: ``S = H P H' + 1 = L L'``, lines by instrument (see ``fusion``).
+"""Whitened innovations of a batch of ticks, and tests of these and of the corrections that they make.
+
+Innovations have the covariance ``S = H P H' + 1 = L L'``, lines by instrument (see ``fusion``).
 
 Their misfit by instrument is chi-squared over its degrees of freedom, 1 for a consistent filter. There are two values
 per instrument since the last window: the mean over all batches, and the worst block of batches as far as it exceeds
 chance. A fault that the filter adapts to causes large innovations for a short time only, which a mean over a flight
 hides. ``misfit_by_instrument`` of a whole flight, whose blocks are given and of any size, uses the same
 :func:`beyond_chance`; here blocks are cut as batches come, and only their sums are kept.
+
+The filter's corrections are held against their stated sigmas, once for each state: each by itself, except constants
+that the bank of hypotheses covers in every direction; and all together.
 """
 
 from collections import deque
@@ -15,18 +20,17 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 from scipy.special import chdtri
 
-from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray
+from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray, IndexArray
 from onboard.estimation.errors import SingularError
 from onboard.estimation.maximum_likelihood import OPEN
 from onboard.estimation.policy import DOUBT, of_each
-from onboard.identification.corrections import DOUBTFUL, refused_from
+from onboard.identification.corrections import DOUBTFUL, Together, expected_sigma, refused_from, together
+from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.fusion import Accusation, Fusion
-from onboard.identification.free_flyer.held_against import stated_after
 from onboard.identification.free_flyer.prediction.further import OF_FRICTION, FurtherCell
-from onboard.identification.free_flyer.prediction.imu_prediction import ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseCorrection
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.imu_prediction import DRIFT_MEMORY_s, ImuPredictor
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseCorrection
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction
 from onboard.identification.free_flyer.suspects import Believed, Rivals
 
@@ -305,3 +309,61 @@ class Innovations:
             r = L @ innovation.e[:lines]
             misfit.add(instrument, float(r @ np.linalg.solve(L @ L.T, r)), r.size)
         return e
+
+
+class Corrections(NamedTuple):
+    """Corrections of what is in use, in two measures."""
+
+    known: IndexArray  # places in the state of those with a stated sigma, of which each is held
+    in_stated: FloatArray  # their sizes in these
+    steady: IndexArray  # places of those of them that do not change during the flight
+    in_told: FloatArray  # their sizes in sigmas of what the data tell of each
+    at_once: Together  # all that do not change, the weighed ones too
+
+
+class HeldAgainst:
+    """Holds the corrections against what is stated.
+
+    Args:
+        predictor: states it.
+        fusion: what is in use.
+        weighed: places in the state of what is not to be held against anything one by one.
+    """
+
+    def __init__(self, predictor: ImuPredictor, fusion: Fusion, weighed: IndexArray) -> None:
+        self._predictor, self._fusion, self._weighed = predictor, fusion, weighed
+        self._of: tuple[Weighed, list[int]] | None = None
+        self._told: Corrections | None = None
+
+    def of(self, weighed: Weighed) -> Corrections:
+        """The corrections if the likeliest hypothesis is true, but of what it says is wrong."""
+        left_out, of = self._fusion.left_out, self._of
+        if self._told is None or of is None or of[0] is not weighed or of[1] != left_out:
+            self._of, self._told = (weighed, [*left_out]), self._hold(weighed)
+        return self._told
+
+    def _hold(self, weighed: Weighed) -> Corrections:
+        (state, covariance), suspect = weighed.known(weighed.likeliest), weighed.likeliest.suspect
+        predictor, stated = self._predictor, stated_after(self._predictor, self._fusion.running_s)
+        known = np.isfinite(stated) & (stated > 0.0)
+        for k in self._fusion.left_out:
+            known[predictor.of_each[k]] = False
+        if suspect is not None:
+            known[suspect.at] = False
+        steady = known.copy()
+        steady[[*(k for pair in predictor.biases for k in pair), *(k for k, _ in predictor.wandering)]] = False
+        at = steady.nonzero()[0]
+        sigma, P = stated[at], covariance.take(at, 0).take(at, 1)
+        P /= sigma[:, None] * sigma
+        in_all = together(state[at] / sigma, P)
+        known[self._weighed] = steady[self._weighed] = False
+        every, each = known.nonzero()[0], steady.nonzero()[0]
+        in_told = state[each] / expected_sigma(stated[each] ** 2, covariance[each, each])
+        return Corrections(every, state[every] / stated[every], each, in_told, in_all)
+
+
+def stated_after(predictor: ImuPredictor, time_s: float) -> FloatArray:
+    """What is stated of all constants after so long a flight, (p,): a bias drifts by its drift's sigma all the time."""
+    stated, (biases, drifts) = predictor.stated.copy(), np.array(predictor.biases, np.intp).reshape(-1, 2).T
+    stated[biases] = np.hypot(predictor.sigma[biases], max(time_s, DRIFT_MEMORY_s) * predictor.sigma[drifts])
+    return stated

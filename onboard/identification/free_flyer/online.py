@@ -20,8 +20,7 @@ from onboard.identification.evidence.bank import Weighed
 from onboard.identification.evidence.mixture import REPORTED, Known, Mixture
 from onboard.identification.free_flyer.before_capture import Payload
 from onboard.identification.free_flyer.captured_body import CapturedBody
-from onboard.identification.free_flyer.held_against import Corrections, HeldAgainst
-from onboard.identification.free_flyer.innovation import ReferenceErrors
+from onboard.identification.free_flyer.innovation import Corrections, HeldAgainst, ReferenceErrors
 from onboard.identification.free_flyer.prediction.further import Further, FurtherPose
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
 from onboard.identification.free_flyer.prediction.joint_noise import NOISE_KEY

@@ -35,8 +35,7 @@ from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, Sched
 from onboard.identification.free_flyer.guesses import GUESSES, ROUGH_WIDTH_s
 from onboard.identification.free_flyer.prediction.further import PlacedImu
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN, ImuPrior
-from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
-from onboard.identification.free_flyer.prediction.line_noise import sigma_of
+from onboard.identification.free_flyer.prediction.joint_noise import JointNoise, sigma_of
 from onboard.identification.free_flyer.prediction.parameters import EXACT_GEOMETRY, GeometryPrior, Unknowns
 from onboard.identification.free_flyer.prediction.ticks import RESTS_rad_s
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE

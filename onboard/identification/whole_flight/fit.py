@@ -31,8 +31,7 @@ from onboard.estimation.policy import MOST_CONTRADICTED, READING
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.free_flyer.guesses import first_rate
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, DRIFT_MEMORY_s, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import root_of
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, root_of
 from onboard.identification.free_flyer.prediction.noise_in_gradient import added_by_line, is_noisy
 from onboard.identification.free_flyer.steps import OtherError
 from onboard.identification.whole_flight.blocks import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.free_flyer.held_against import stated_after
+from onboard.identification.free_flyer.innovation import stated_after
 from tests.identification.free_flyer.recorded_flights import PRIOR, online
 
 

@@ -5,8 +5,7 @@ import numpy as np
 from onboard.identification.free_flyer.innovation import TickBatch
 from onboard.identification.free_flyer.prediction.further import CellPrior, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseCorrection
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseCorrection
 from tests.identification.free_flyer.recorded_flights import PRIOR, online, ticks_of
 
 

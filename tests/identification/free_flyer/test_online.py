@@ -13,7 +13,7 @@ from onboard.estimation.gates import GateReason
 from onboard.identification.corrections import DOUBTFUL, contradicted, expected_sigma
 from onboard.identification.evidence.bank import Hypothesis, Root, Weighed
 from onboard.identification.evidence.mixture import Mixture
-from onboard.identification.free_flyer import held_against
+from onboard.identification.free_flyer import innovation
 from onboard.identification.free_flyer.fusion import Fusion
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
@@ -254,8 +254,8 @@ def test_what_swings_is_named_where_most_ticks_are_refused_too() -> None:
 def test_corrections_are_held_against_what_is_stated_once_for_each_state(monkeypatch: pytest.MonkeyPatch) -> None:
     mean = np.array([0.2, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01])
     online, asked = unsure(mean, np.full(10, 1e-3), moved=6.0), []
-    counted = held_against.together
-    monkeypatch.setattr(held_against, "together", lambda *given: asked.append(1) or counted(*given))
+    counted = innovation.together
+    monkeypatch.setattr(innovation, "together", lambda *given: asked.append(1) or counted(*given))
     ekf = online.ekf
     assert online.findings().against
     online.estimate()

@@ -35,8 +35,7 @@ from onboard.identification.free_flyer.prediction.further import (
     left_of,
 )
 from onboard.identification.free_flyer.prediction.imu_errors import SIZE, ImuPrior, drift_of, imu_blocks, weight_of
-from onboard.identification.free_flyer.prediction.joint_noise import JointNoise
-from onboard.identification.free_flyer.prediction.line_noise import sigma_of
+from onboard.identification.free_flyer.prediction.joint_noise import JointNoise, sigma_of
 from onboard.identification.free_flyer.prediction.parameters import (
     EXACT_GEOMETRY,
     FlexibleJoints,

@@ -5,7 +5,7 @@ From the momentum equation of :mod:`onboard.dynamics.free_flight` with eta = 0: 
 Products of rates are neglected.
 
 The noise is in a prediction and in its derivatives alike (errors in variables). With E(x) what errors of the joints do
-to a tick's lines, over their noise (:mod:`.line_noise`), it adds ``g = sum (dE/dx)' E`` to the gradient ``J' r`` of
+to a tick's lines, over their noise (:class:`LineNoise`), it adds ``g = sum (dE/dx)' E`` to the gradient ``J' r`` of
 predicted less measured, and ``N = sum (dE/dx)' (dE/dx)`` to its information (Fuller, Measurement Error Models, 1987,
 section 3.2): an estimate is off, mostly towards a light payload. The errors are those of the joints' samples as they
 are, without an inflation. The products are taken of predictions with errors of all joints at once, of which those of
@@ -30,6 +30,11 @@ In a whole flight, where steps are weighed by the gradients of its blocks, the m
 together, and its covariance ``(1 - P N)^-1 (P + (c - 1) P N P) (1 - N P)^-1`` (:func:`root_of`).
 
 The effect is computed in ``onboard/native/src/noise.c``, of one tick in each batch.
+
+Lines have noise of their own, and that of the joints, one of whose errors is in all lines of a tick. Taken for
+independent, along some directions of the payload the gradient scattered by two to four times its variance.
+Whitened by a Cholesky root, the first lines stay as they are but for their size: what an IMU's lines have in common
+with a cell's is taken off the cell's.
 """
 
 import ctypes
@@ -42,7 +47,7 @@ from scipy.linalg.lapack import dposv
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.estimation.arrays import ROUNDING, FloatArray
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import PlacedImu
@@ -280,3 +285,42 @@ class JointNoise:
         effects = out.reshape(len(at), 2 * joints, -1).repeat(BATCH_TICKS, axis=0)[:n]
         sigmas = (library.given(one, n, 2, joints).swapaxes(1, 2).reshape(n, -1, 1) for one in joint_sigma)
         return [effects * sigma for sigma in sigmas]
+
+
+class LineNoise(NamedTuple):
+    """Of n ticks and m lines."""
+
+    sigma: FloatArray  # (n, m) all together
+    by_joint: FloatArray  # (n, 2 joints, m) by one sigma of each joint's rate and acceleration
+
+    @staticmethod
+    def of(own: FloatArray, by_joint: FloatArray) -> "LineNoise":
+        """Of that of each line by itself, (n, m), and that of the joints."""
+        return LineNoise(np.hypot(own, sigma_of(by_joint)), by_joint)
+
+    @staticmethod
+    def alone(sigma: FloatArray) -> "LineNoise":
+        """Of lines that have nothing in common, (n, m)."""
+        return LineNoise(sigma, np.zeros((len(sigma), 0, sigma.shape[1])))
+
+    def part(self, which: slice) -> "LineNoise":
+        """Of some ticks."""
+        return LineNoise(self.sigma[which], self.by_joint[which])
+
+    def together(self, use: BoolArray) -> FloatArray:
+        """Covariance of a tick's lines over their sigmas, (n, m, m); those not in use, (n, m), are by themselves."""
+        share = np.divide(self.by_joint, self.sigma[:, None], out=np.zeros(self.by_joint.shape), where=use[:, None])
+        covariance = share.swapaxes(1, 2) @ share
+        at = np.arange(self.sigma.shape[1])
+        covariance[:, at, at] = 1.0
+        return np.asarray(covariance, np.float64)
+
+    def whitening(self, use: BoolArray) -> FloatArray:
+        """What the lines of a tick are multiplied by, (n, m, m); zero of those not in use, (n, m)."""
+        inverse = np.linalg.inv(np.linalg.cholesky(self.together(use)))
+        return np.divide(inverse, self.sigma[:, None], out=np.zeros_like(inverse), where=use[:, None] & use[:, :, None])
+
+
+def sigma_of(by_joint: FloatArray) -> FloatArray:
+    """Of each line, (n, m), by what one sigma of each joint does to it, (n, 2 joints, m)."""
+    return np.asarray(np.sqrt(np.einsum("njm,njm->nm", by_joint, by_joint)), np.float64)

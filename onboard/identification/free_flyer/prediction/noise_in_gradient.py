@@ -13,8 +13,7 @@ import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.identification.free_flyer.prediction.imu_prediction import PIECE, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NOISELESS, PRODUCT, NoiseAdded, at_once
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import NOISELESS, PRODUCT, LineNoise, NoiseAdded, at_once
 from onboard.identification.free_flyer.prediction.ticks import TickPrediction, Ticks
 
 _NONE = np.zeros((0, 0, 0))

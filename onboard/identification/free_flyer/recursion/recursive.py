@@ -29,8 +29,7 @@ from onboard.estimation.policy import HALF
 from onboard.identification.free_flyer.fusion import Accusation
 from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise, sigma_of
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseAdded, sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
 from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s, after_a_change, kind_of
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks

@@ -25,8 +25,7 @@ from onboard.estimation.policy import DOUBT, HALF, READING
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, correction_of
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseAdded, correction_of
 from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.free_flyer.recursion.pieces import Pieces, Problem, evidence_of

@@ -12,8 +12,12 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.fusion import Accusation, Fusion
 from onboard.identification.free_flyer.innovation import InnovationMisfit, Innovations
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded, NoiseCorrection, correction_of
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import (
+    LineNoise,
+    NoiseAdded,
+    NoiseCorrection,
+    correction_of,
+)
 from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, TickPrediction, Ticks
 from onboard.identification.free_flyer.recursion.bounded_work import BoundedWork

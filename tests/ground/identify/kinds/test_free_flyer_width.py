@@ -9,7 +9,7 @@ import pytest
 from onboard import config
 from onboard.cli import OK, main
 from onboard.ground.identify.kinds import free_flyer_log
-from onboard.ground.identify.kinds.free_flyer_width import with_chosen_width
+from onboard.ground.identify.kinds.free_flyer_log import with_chosen_width
 from onboard.identification.rows.checks.prediction import HeldOutFit
 from onboard.identification.rows.held_out import HeldOut
 from tests.ground.identify.kinds.free_arm import JOINTS, MASS_kg, flown

@@ -15,7 +15,7 @@ from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.identification.free_flyer.prediction.further import CellPrior, DisturbancePrior, FurtherCell
 from onboard.identification.free_flyer.prediction.imu_errors import CERTAIN
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise
 from onboard.identification.free_flyer.prediction.noise_in_gradient import NoiseInPieces
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
 from tests.dynamics.free_flyer_twin import URDF

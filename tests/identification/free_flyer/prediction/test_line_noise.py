@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise, sigma_of
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, sigma_of
 
 TICKS, JOINTS, LINES, PARAMETERS = 20, 3, 7, 4
 

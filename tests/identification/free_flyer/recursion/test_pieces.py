@@ -7,8 +7,7 @@ import pytest
 
 from onboard.identification.evidence.bank import Bank
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
-from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
-from onboard.identification.free_flyer.prediction.line_noise import LineNoise
+from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseAdded
 from onboard.identification.free_flyer.recursion import pieces
 from onboard.identification.free_flyer.recursion import window as windows
 from onboard.identification.free_flyer.recursion.pieces import Pieces, evidence_of
