@@ -127,10 +127,13 @@ class TestViewers:
             asked = [Stream(one.port, "/flight", buffer=4096) for _ in range(30)]
             for stream in asked:
                 stack.callback(stream.close)
-            until = time.monotonic() + 20
-            while len(list(Path("/proc/self/fd").iterdir())) > before + len(asked) and time.monotonic() < until:
+            until, ours = time.monotonic() + 20, before + len(asked)
+            while (opened := len(list(Path("/proc/self/fd").iterdir()))) <= ours and time.monotonic() < until:
+                time.sleep(0.005)
+            assert opened > ours  # the other side's, too
+            while (kept := len(list(Path("/proc/self/fd").iterdir()))) > ours and time.monotonic() < until:
                 time.sleep(0.05)
-            assert len(list(Path("/proc/self/fd").iterdir())) <= before + len(asked)  # this side's alone
+            assert kept <= ours
             assert len(ask(one.port, "/flight").body) > size
 
     def test_one_that_talks_is_disconnected(self) -> None:
