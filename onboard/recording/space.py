@@ -31,7 +31,8 @@ def refusal(error: OSError, *, short: bool = False) -> str:
     """
     what = f"{Path(error.filename).name if short else error.filename}: " if error.filename else ""
     with contextlib.suppress(OSError, TypeError):
-        what += f"{os.stat(error.filename).st_size} bytes, then "
+        if not os.path.isdir(error.filename):
+            what += f"{os.stat(error.filename).st_size} bytes, then "
     reason = (error.strerror or str(error)).lower()
     if error.errno == errno.EFBIG:
         limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]

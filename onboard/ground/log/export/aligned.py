@@ -5,6 +5,7 @@ mean of the interpolation over one period about the instant. A missing or unusab
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -106,23 +107,26 @@ def dump_aligned(
     reader = tables.log
     found = aligned(tables, selection.channels, rate_hz)
     windows = tables.windows(selection)
-    files: tuple[Path, ...] = ()
-    if isinstance(target, str | Path):
-        files = (Path(target) / f"aligned.{kind}",)
-        begin(Path(target), tables, {"aligned": files[0].name}, force=force)
-    elif kind != "csv":
+    name = f"aligned.{kind}"
+    if not isinstance(target, str | Path) and kind != "csv":
         raise ValueError(f"--to {kind} -: only csv goes into a pipe; give a directory")
     tell = follow(progress, "align", reader)
     count = 0
-    table = make(files[0] if files else target, found.columns)  # type: ignore[arg-type]  # an open file it is
-    try:
+    with ExitStack() as stack:
+        where: Path | BinaryIO
+        if isinstance(target, str | Path):
+            where = stack.enter_context(begin(Path(target), tables, {"aligned": name}, force=force)) / name
+        else:
+            where = target
+        table = make(where, found.columns)
+        stack.callback(table.close)
+        table.write(np.zeros(0, found.dtype))  # the file is made even if no instant is inside
         for block in found.blocks:
             rows = block if windows is None else block[inside(block[TIME_FIELD], windows)]
             table.write(rows)
             count += len(rows)
             tell()
-    finally:
-        table.close()
+    files = (Path(target) / name,) if isinstance(target, str | Path) else ()
     return DumpResult(files, {"aligned": count}, reader.damage, reader.exit_code)
 
 

@@ -5,8 +5,9 @@ column first, through temporary files beside the target.
 """
 
 import re
-from collections.abc import Callable, Collection, Sequence
-from contextlib import ExitStack
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
 
@@ -21,6 +22,7 @@ from onboard.ground.log.tables.progress import reporter
 from onboard.ground.log.tables.selection import Selection
 from onboard.recording.format.scan import Damage
 from onboard.recording.reader import LogReader
+from onboard.recording.space import naming
 
 _BLOCK_ROWS = 16384
 _BLOCK_BYTES = 4 << 20
@@ -72,38 +74,41 @@ def dump(
     reader = tables.log
     chosen = _channels(tables, selection, values)
     batches = tables.batches(chosen, tables.windows(selection))
-    targets: dict[str, Path | BinaryIO]
+    files: dict[str, str] = {}
     if isinstance(target, str | Path):
-        paths = _paths(Path(target), chosen, kind)
-        files = {name: path.name for name, path in paths.items()}
-        targets = dict(paths)
-        begin(Path(target), tables, files, force=force)
-    elif len(chosen) == 1 and kind == "csv":
-        paths, targets = {}, {chosen[0]: target}
-    else:
+        files = _files(chosen, kind)
+    elif len(chosen) != 1 or kind != "csv":
         raise ValueError(f"a single CSV goes into a pipe: say which with --channel; the log has {', '.join(chosen)}")
     passes = 1 + bool(tables.clocked and set(chosen) - set(tables.clocked))
     tell = reporter(progress, f"dump {reader.path.name}", passes * reader.size)
     pending: dict[str, _Pending] = {}
     done = 0
     with ExitStack() as stack:
+        if isinstance(target, str | Path):
+            made = stack.enter_context(begin(Path(target), tables, files, force=force))
         for name in chosen:
-            pending[name] = _Pending(make, targets[name], tables, name, values)
-            stack.callback(pending[name].close)
+            where = made / files[name] if isinstance(target, str | Path) else target
+            pending[name] = _Pending(make, where, tables, name, values)
+            stack.push(pending[name].close)
         for channel, rows in batches:
             pending[channel].add(rows)
             done = max(done, reader.position + (reader.size if passes > 1 and channel in tables.clocked else 0))
             tell(done)
     tell(passes * reader.size)
     counts = {name: table.rows for name, table in pending.items()}
-    return DumpResult(tuple(paths.values()), counts, reader.damage, reader.exit_code)
+    paths = tuple(Path(target) / file for file in files.values()) if isinstance(target, str | Path) else ()
+    return DumpResult(paths, counts, reader.damage, reader.exit_code)
 
 
-def begin(folder: Path, tables: FlightTables, files: dict[str, str], *, force: bool) -> None:
-    """Make ``folder`` and the legend in it, of ``files`` by channel, which are not there yet.
+@contextmanager
+def begin(folder: Path, tables: FlightTables, files: dict[str, str], *, force: bool) -> Iterator[Path]:
+    """A directory inside ``folder`` for ``files`` by channel; they move to ``folder`` when all are written.
+
+    The legend is added. If writing fails, ``folder`` keeps the files that it had.
 
     Raises:
-        FileExistsError: one of them is, and ``force`` was not asked for.
+        FileExistsError: one of them is there, and ``force`` was not asked for.
+        OSError: they cannot be written; the error names ``folder``.
     """
     there = [name for name in [*files.values(), legend.FILE] if (folder / name).exists()]
     if there and not force:
@@ -112,7 +117,11 @@ def begin(folder: Path, tables: FlightTables, files: dict[str, str], *, force: b
             f"{folder / there[0]}{more} would be written over; name another directory, or add --force"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / legend.FILE).write_text(legend.legend(tables, files), encoding="utf-8")
+    with naming(folder), tempfile.TemporaryDirectory(dir=folder, prefix=".unfinished-") as made:
+        (Path(made) / legend.FILE).write_text(legend.legend(tables, files), encoding="utf-8")
+        yield Path(made)
+        for name in [*files.values(), legend.FILE]:
+            (Path(made) / name).replace(folder / name)
 
 
 def _channels(tables: FlightTables, selection: Selection, values: ValueKind) -> list[str]:
@@ -124,16 +133,16 @@ def _channels(tables: FlightTables, selection: Selection, values: ValueKind) -> 
     return [n for n, dtype in every.items() if values == "raw" or set(dtype.names or ()) - tables.meanings[n].scratch]
 
 
-def _paths(folder: Path, channels: Collection[str], kind: str) -> dict[str, Path]:
+def _files(channels: Collection[str], kind: str) -> dict[str, str]:
     """A unique file name for each channel; a name unfit for a file is replaced by its number."""
-    paths: dict[str, Path] = {}
+    files: dict[str, str] = {}
     for number, name in enumerate(channels, 1):
         plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".")
         stem = name if plain == name else f"{plain}_{number}"
-        while folder / f"{stem}.{kind}" in paths.values() or (stem != name and stem in channels):
+        while f"{stem}.{kind}" in files.values() or (stem != name and stem in channels):
             stem += "_"
-        paths[name] = folder / f"{stem}.{kind}"
-    return paths
+        files[name] = f"{stem}.{kind}"
+    return files
 
 
 def chosen_columns(every: Sequence[TableColumn], values: ValueKind, scratch: Collection[str] = ()) -> list[TableColumn]:
@@ -168,10 +177,11 @@ class _Pending:
         if self._waiting_rows >= self._block:
             self._write()
 
-    def close(self) -> None:
-        """Write the buffered rows and close."""
+    def close(self, error: type[BaseException] | None, *_: object) -> None:
+        """Write the buffered rows, unless another table could not be written, and close."""
         try:
-            self._write()
+            if error is None:
+                self._write()
         finally:
             if self._table is not None:
                 self._table.close()

@@ -86,8 +86,8 @@ class MatTable(SpooledTable):
     ) -> None:
         if size > _MOST_BYTES:
             raise ValueError(
-                f"{self.path}: {name} has {size:,} bytes, and a MAT-file variable is limited to 2 GiB; cut the log "
-                "with --from and --until, or use npz or parquet"
+                f"{self.path.name}: {name} has {size:,} bytes, and a MAT-file variable is limited to 2 GiB; cut the "
+                "log with --from and --until, or use npz or parquet"
             )
         (kind, array_class), title = types, name.encode()[:_NAME_BYTES]
         head = struct.pack("<IIII", _MI_UINT32, 8, array_class, 0) + struct.pack("<IIii", _MI_INT32, 8, *shape)

@@ -86,7 +86,6 @@ def dump_standard(
     """
     joints = _Joints(tables)
     path = target / "standard.mcap"
-    begin(target, tables, {"standard": path.name}, force=force)
     topics = {f"/imu/{name}": "sensor_msgs/msg/Imu" for name in joints.imus} | {
         "/joint_states": "sensor_msgs/msg/JointState",
         "/tf": "tf2_msgs/msg/TFMessage",
@@ -94,7 +93,7 @@ def dump_standard(
     }
     counts = dict.fromkeys(topics, 0)
     tell = follow(progress, "dump", tables.log)
-    with path.open("wb") as file:
+    with begin(target, tables, {"standard": path.name}, force=force) as made, (made / path.name).open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="heft dump")
         schemas = {name: writer.register_schema(name, "ros2msg", _text(name)) for name in sorted(set(topics.values()))}

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import resource
 import subprocess
 import sys
 
@@ -179,3 +180,25 @@ def test_an_unknown_format_is_refused_before_anything_is_written(tmp_path, log, 
     assert cli.main(["dump", str(log), "--to", "xlsx", str(tmp_path / "out")]) == cli.BAD_INPUT
     assert "known formats: csv, parquet, npz, mat" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "npz", "mat"])
+def test_a_dump_that_the_disk_refuses_leaves_the_directory_as_it_was(tmp_path, log, kind, capsys):
+    """A file-size limit stands for a full disk: both refuse the write with an OSError that names no file."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / f"imu_base.{kind}").write_text("before")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        code = cli.main(["dump", str(log), "--to", kind, str(out), "--force"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"heft: {out}: ")
+    assert "bytes, then" not in told  # a directory has no size
+    assert "a file may have 100000 bytes here; raise it" in told
+    assert [(path.name, path.read_text()) for path in out.iterdir()] == [(f"imu_base.{kind}", "before")]
+    assert cli.main(["dump", str(log), "--to", kind, str(out), "--force"]) == 0
+    assert {path.name for path in out.iterdir()} == {f"imu_base.{kind}", f"load_cell.{kind}", "README.txt"}
