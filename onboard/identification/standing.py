@@ -47,7 +47,7 @@ def standing(quantity: QuantityEstimate, findings: Findings, size: Size | None =
     too wide for its ``size``; a finding weakens it. The text of a good one says which calibrations it leans on.
     """
     if not quantity.supported:
-        return Standing(Level.WEAK, quantity.note).after(Findings(findings.against))
+        return Standing(Level.WEAK, quantity.note).after(findings)
     reasons = []
     if is_positive(quantity.name, quantity.unit):
         if quantity.high <= 0.0:

@@ -70,11 +70,13 @@ class Evidence(NamedTuple):
 
 def verdict(evidence: Evidence) -> Verdict:
     """The rules at the head of this file."""
+    found = evidence.findings
     if not evidence.rows_used and not evidence.failure:
         why = ", ".join(f"{count} {reason}" for reason, count in evidence.refused.items())
         return Verdict(Level.DO_NOT_USE, (f"no row could be used ({why or 'there was none'})",), tuple(evidence.asked))
     if evidence.failure:
-        return Verdict(Level.DO_NOT_USE, (evidence.failure, *evidence.findings.widened), tuple(evidence.asked))
+        beside = (*found.against, *found.doubts, *_jumped(evidence), *found.widened)
+        return Verdict(Level.DO_NOT_USE, (evidence.failure, *beside), tuple(evidence.asked))
     weak = tuple(name for name, determined in evidence.asked.items() if not determined)
     of_all = _of_all(evidence)
     of_one = {name: one for name, one in evidence.standings.items() if evidence.asked.get(name)}
@@ -95,8 +97,7 @@ def standings_of(evidence: Evidence) -> dict[str, Standing]:
 def _of_all(evidence: Evidence) -> Findings:
     """What concerns all quantities: contradictions, prediction of one half from the other, corrections."""
     against = [*_contradictions(evidence), *evidence.findings.against]
-    jumped = [_JUMPED] * bool(evidence.refused.get("jumped"))
-    doubts = [*evidence.findings.doubts, *jumped, *doubtful(evidence.corrections)]
+    doubts = [*evidence.findings.doubts, *_jumped(evidence), *doubtful(evidence.corrections)]
     held_out = evidence.held_out
     if held_out is None:
         doubts += [evidence.unchecked] * bool(evidence.unchecked)
@@ -108,6 +109,10 @@ def _of_all(evidence: Evidence) -> Findings:
         elif off >= MOSTLY:
             doubts.append(said)
     return Findings(tuple(against), tuple(doubts), evidence.findings.widened)
+
+
+def _jumped(evidence: Evidence) -> list[str]:
+    return [_JUMPED] * bool(evidence.refused.get("jumped"))
 
 
 def _contradictions(evidence: Evidence) -> list[str]:

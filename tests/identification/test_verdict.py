@@ -85,6 +85,18 @@ def test_answers_of_before_a_jump_are_weak():
     )
 
 
+def test_a_payload_that_is_not_determined_is_told_with_what_took_its_rows():
+    """A coupling that slips before the payload is taken: no row with the payload is used, moving more is no remedy."""
+    jumps = "a3: its angle jumps between two samples"
+    undetermined = "the data do not determine a mass apart from zero"
+    found = verdict(evidence(refused={"jumped": 1}, failure=undetermined, findings=Findings((), ("scale is off",))))
+    assert found.level is Level.DO_NOT_USE
+    assert found.reasons[:2] == (undetermined, "scale is off")
+    assert found.reasons[2].startswith("the angle of a joint jumps")
+    mass = QuantityEstimate("m_payload", "kg", np.nan, np.nan, np.nan, np.nan, False, note=undetermined)
+    assert standing(mass, Findings((), (jumps,))) == (Level.WEAK, f"{undetermined}; {jumps}")
+
+
 def test_what_is_not_determined_is_named():
     found = verdict(evidence(asked={"mass": True, "I_xx": False, "I_zz": False}))
     assert found.level is Level.WEAK

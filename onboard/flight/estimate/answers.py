@@ -71,7 +71,7 @@ class Answers:
         answers["name"][:p] = [name.encode() for name in estimate.names]
         of_all = Standing(Level.GOOD).after(findings._replace(widened=()))
         known = answers["supported"][:p] != 0
-        unknown = Standing(Level.WEAK, "not determined by the data so far").after(Findings(findings.against))
+        unknown = Standing(Level.WEAK, "not determined by the data so far").after(findings)
         for found, mine in ((of_all, known), (unknown, ~known)):
             answers["level"][:p][mine], answers["why"][:p][mine] = LEVELS.index(found.level), _shortened(found.why)
         if of_all.level is Level.DO_NOT_USE:

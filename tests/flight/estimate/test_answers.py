@@ -24,6 +24,15 @@ def test_a_reason_that_is_longer_than_its_field_ends_between_words_and_says_so()
     assert why(Findings((), ("\xb2" * size + " swing",))).decode().endswith(" ...")
 
 
+def test_a_parameter_that_is_not_determined_is_told_with_what_weakens_the_others() -> None:
+    none, one = np.zeros(1), np.array([False])
+    estimate = Estimate(("MX_arm",), none, none, none, none, one, (), 10, {})
+    dtype, jumps = channels.estimate_dtype(1, 1), Findings((), ("a3: its angle jumps",))
+    _, rows, _ = Answers(dtype, (), Useful()).rows(0, 0, estimate, jumps, np.zeros((1, 1)))
+    assert rows["why"].tolist() == [b"not determined by the data so far; a3: its angle jumps"]
+    assert LEVELS[rows["level"][0]] is Level.WEAK
+
+
 def said(answers: Answers, supported: bool, level: Level) -> list[str]:
     """Events of a mass by its level, and whether the data determine it."""
     mass, none = QuantityEstimate("m_arm", "kg", 5.0, 0.1, 4.8, 5.2, supported, shrinkage=0.1), np.zeros(0)
