@@ -45,6 +45,11 @@ FORM = [
     ("<robot>\n<a:b/></robot>", 2, "no XML: a tag's prefix is declared nowhere"),
     ("<robot>\n<link></robot>", 2, "no XML: a tag is closed that is not open"),
     ("<sdf/>", 1, "no URDF: its first tag is <sdf>"),
+    (
+        '<robot\nxmlns="http://www.ros.org"/>',
+        1,
+        "its tags are in the namespace 'http://www.ros.org'.* take xmlns=\"...\" out of <robot>",
+    ),
     ("<robot/>", 1, "it has no <link>"),
     (
         '<robot xmlns:xacro="http://ros.org/wiki/xacro">\n<xacro:arm/></robot>',

@@ -162,6 +162,10 @@ def _joint(element: ET.Element) -> UrdfJoint:
 
 
 def _foreign(robot: ET.Element, lines: dict[ET.Element, int]) -> list[UrdfProblem]:
+    if robot.tag.endswith("}robot"):
+        space = robot.tag.removesuffix("}robot")
+        remedy = 'take xmlns="..." out of <robot>; xmlns:NAME="..." may stay'
+        return [UrdfProblem(lines[robot], f"its tags are in the namespace {space!r}, URDF's are in none: {remedy}")]
     if robot.tag != "robot":
         return [UrdfProblem(lines[robot], f"no URDF: its first tag is <{robot.tag}>, not <robot>; convert it to URDF")]
     for element in robot.iter():
