@@ -34,6 +34,8 @@ def named(name: str | Path, urdf: Path | None = None) -> Vehicle:
     """
     if str(name).endswith(".toml"):
         return load(Path(name), urdf)
+    if str(name).endswith(".urdf"):
+        raise ConfigError(f"{name} is a URDF, not a vehicle file; heft init --urdf {name} DIRECTORY makes one of it")
     path = packaged(str(name))
     if not path.exists():
         known = sorted(file.parent.name for file in _PACKAGED.glob("*/vehicle.toml"))

@@ -260,6 +260,11 @@ def test_a_missing_file_says_so(tmp_path: Path) -> None:
         config.load(tmp_path / "nowhere.toml")
 
 
+def test_a_urdf_in_place_of_a_vehicle_file_says_what_makes_one() -> None:
+    with pytest.raises(config.ConfigError, match=r"arm\.urdf is a URDF, .* heft init --urdf arm\.urdf DIRECTORY makes"):
+        config.named("arm.urdf")
+
+
 def test_urls_can_be_replaced_and_nothing_else_changes() -> None:
     vehicle = config.load(config.packaged("rocksat"))
     other = vehicle.with_urls({"can_0": "can+virtual://x"})
