@@ -119,6 +119,7 @@ BODIES = [
     (urdf(more=WHEEL), 6, "link 'wheel', which joint 'wheel' moves, has no mass or no inertia, .*give it <inertial>"),
     (urdf(arm=arm_of(value="0")), 3, "link 'arm' has an inertia and no mass"),
     (urdf(arm=arm_of(izz="7e-3")), 3, "'arm' has the principal moments of inertia 0.001, 0.005 and 0.007 kg m2; none"),
+    (urdf(arm=arm_of(ixx="5.00e-3", izz="1.01e-2")), 3, "if they are rounded, lower the largest by more than 0.0001"),
     (urdf(arm=arm_of(ixx="-1e-3")), 3, "each has to be more than zero"),
     (urdf(arm=arm_of(ixy="4e-3")), 3, "each has to be more than zero: correct them, or their products"),
     (urdf(arm=arm_of(value="1e-6", ixx="5", iyy="5", izz="5")), 3, "2236 m from its centre"),

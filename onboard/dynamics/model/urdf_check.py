@@ -202,7 +202,9 @@ def impossible(mass_kg: float, inertia_kg_m2: FloatArray) -> str:
     if a < 0.0 or (a < LEAST and _skew(inertia_kg_m2)):
         return f"{told}; each has to be more than zero: correct them, or their products ixy, ixz, iyz"
     if c > a + b + FLAT_KG_M2:
-        return f"{told}; none can be more than the sum of the others: give its inertia about the centre of mass"
+        remedy = "give its inertia about the centre of mass"
+        rounded = f"or, if they are rounded, lower the largest by more than {c - a - b:.2g}"
+        return f"{told}; none can be more than the sum of the others: {remedy}, {rounded}"
     if c > mass_kg * FARTHEST_M**2:
         return f"{told} with {mass_kg:g} kg: that is {math.sqrt(c / mass_kg):.4g} m from its centre; correct either"
     return ""
