@@ -19,7 +19,7 @@ from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.ground.identify.identify import Identification, identify
 from onboard.ground.log.bring_in import importer
-from onboard.identification.rows.standard import PrincipalMoments
+from onboard.identification.rows.free_body import PrincipalMoments
 
 ROW_PERIOD_US = 5000
 MAPPING = Path(importer.__file__).parent / "mappings" / "tudelft.toml"

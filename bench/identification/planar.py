@@ -33,7 +33,8 @@ from onboard.dynamics.ticks import tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.campaign.results import FlightAnswer, FlightResult
 from onboard.identification.standing import Level
-from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior, TableFit, drag_of
+from onboard.identification.table.air_bearing import TableFit, drag_of
+from onboard.identification.table.floating_base import AirBearingPrior, DragPrior
 
 Floats = NDArray[np.float64]
 

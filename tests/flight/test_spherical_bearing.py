@@ -26,7 +26,7 @@ from onboard.ground.identify.replay.replay import replay
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.online import UNCHECKED, PivotRun
 from onboard.identification.quantities import sizes
-from onboard.identification.rows.standard import FREE_BODY
+from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.standing import Level, standing
 from onboard.recording.reader import LogReader
 from tests.flight.estimate.state_bytes import to_bytes

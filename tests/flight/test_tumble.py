@@ -10,7 +10,7 @@ from hil_sim.plants.vehicle_plant import VehiclePlant
 from onboard import config
 from onboard.ground.identify.identify import identify
 from onboard.ground.identify.replay.replay import replay
-from onboard.identification.rows.standard import FREE_BODY
+from onboard.identification.rows.free_body import FREE_BODY
 from tests.flight.missions import Result, fly
 
 

@@ -37,15 +37,10 @@ from onboard.identification.observability import essential, observed_directions
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate, QuantityEstimate
 from onboard.identification.rows.budget import budget
 from onboard.identification.rows.checks.prediction import HeldOutFit, prediction
+from onboard.identification.rows.fitted_drawing import FittedLink, fitted_drawing
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.standard import (
-    FittedLink,
-    fitted_drawing,
-    identified_links,
-    standard_posterior,
-    without_rotors,
-)
+from onboard.identification.rows.standard import identified_links, standard_posterior, without_rotors
 from onboard.identification.standing import Level
 from onboard.identification.verdict import Evidence
 from onboard.recording.format.errors import ChannelError

@@ -16,7 +16,8 @@ from onboard.ground.identify import runs_view
 from onboard.ground.identify.identify import Identification
 from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.throws import LoadSummary
-from onboard.identification.rows.standard import LinkEstimate, PrincipalMoments
+from onboard.identification.rows.free_body import PrincipalMoments
+from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.standing import Level
 from onboard.identification.verdict import Verdict
 

@@ -7,7 +7,7 @@ and reaches the Cramer-Rao bound. (The non-linear ExIDDM that Limparis proposes 
 2.84-2.93, 3.6-3.8.)
 
 A kind of base (:class:`FreeBase`: by the joints and the initial angular momentum;
-:class:`onboard.identification.table.air_bearing.AirBearingBase`) contributes the prediction of its motion; unknowns,
+:class:`onboard.identification.table.floating_base.AirBearingBase`) contributes the prediction of its motion; unknowns,
 residuals, prior, guesses and held-out halves are common.
 
 Known limit: the joints' noise is modelled on a table only; behind a 100:1 gear it is 1/300 of the gyro's at 1 Hz.

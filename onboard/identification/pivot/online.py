@@ -23,7 +23,7 @@ from onboard.identification.quantities import (
     Findings,
     QuantityEstimate,
 )
-from onboard.identification.rows.standard import FREE_BODY
+from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.table.run import TableRun
 from onboard.identification.windows import WindowedFit
 from onboard.regressor.signals import Signals

@@ -12,7 +12,8 @@ from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, body_of, standard_of
 from onboard.flight.estimate.problem.model import build_model
-from onboard.identification.rows.standard import Posterior, fitted_drawing, link_estimate
+from onboard.identification.rows.fitted_drawing import fitted_drawing
+from onboard.identification.rows.standard import Posterior, link_estimate
 from tests.dynamics.mujoco_twin import random_vehicle, to_urdf
 from tests.flight import test_recorded_arm as bench
 

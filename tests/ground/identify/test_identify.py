@@ -18,7 +18,7 @@ from onboard.ground.identify.identify_view import budgets, render
 from onboard.ground.identify.kinds.throws import LoadError, carrier_of, load_of
 from onboard.ground.identify.replay.feed import feed
 from onboard.ground.log.bring_in.importer import import_recordings
-from onboard.identification.rows.standard import FREE_BODY, whole_body
+from onboard.identification.rows.free_body import FREE_BODY, whole_body
 from onboard.identification.standing import Level
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader

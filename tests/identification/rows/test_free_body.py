@@ -11,7 +11,7 @@ from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, elements, parallel_axis, principal_moments, symmetric
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.recursive.consistency import Interval
-from onboard.identification.rows import standard
+from onboard.identification.rows import free_body
 from onboard.identification.rows.identifier import Identifier
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.prior import prior_root
@@ -31,7 +31,7 @@ def model_of(urdf=URDF):
 
 def quantities_of(urdf=URDF, held=5e-7):
     model, base = model_of(urdf)
-    return model, base, standard.free_body_quantities(model, base, prior_root(model, HELD, {"M_body": held}))
+    return model, base, free_body.free_body_quantities(model, base, prior_root(model, HELD, {"M_body": held}))
 
 
 class Gaussian(NamedTuple):
@@ -47,7 +47,7 @@ class Gaussian(NamedTuple):
 
 def test_the_quantities_of_the_urdf_are_the_urdf():
     model, base, quantities = quantities_of()
-    assert tuple(quantity.name for quantity in quantities) == standard.FREE_BODY
+    assert tuple(quantity.name for quantity in quantities) == free_body.FREE_BODY
     assert [quantity.unit for quantity in quantities] == ["m"] * 3 + ["kg m^2"] * 6
     chi = model.chi.copy()
     chi[1:4] = 0.52 * C  # first moment of the whole, with the wheel's 0.02 kg at the origin
@@ -75,23 +75,23 @@ def test_an_identifier_that_cannot_tell_says_why():
     model, base, quantities = quantities_of()
     sigma = prior_root(model, HELD, {"M_body": 5e-7})
     with pytest.raises(SignalError, match="no free-body quantities"):
-        standard.whole_body(Identifier(model, base, sigma, 0.1), 0.5)
+        free_body.whole_body(Identifier(model, base, sigma, 0.1), 0.5)
     with pytest.raises(SignalError, match="no row could be used"):
-        standard.whole_body(Identifier(model, base, sigma, 0.1, quantities), 0.5)
+        free_body.whole_body(Identifier(model, base, sigma, 0.1, quantities), 0.5)
 
 
 def test_what_is_left_without_the_carrier_and_its_intervals(rng):
     """Against drawing whole, carrier and rotor scale from their distributions."""
     covariance = np.diag([1e-10] * 3 + [1e-12] * 6)
-    whole = standard.Whole(RigidBody(0.5, C, I_C), np.eye(9), Gaussian(covariance))
+    whole = free_body.Whole(RigidBody(0.5, C, I_C), np.eye(9), Gaussian(covariance))
     carrier_sigma = np.array([1e-5] * 3 + [3e-7] * 6)
-    carrier = standard.KnownBody(RigidBody(0.1, C - 0.02, np.diag([8e-5, 3e-5, 9e-5])), carrier_sigma)
-    load, found = standard.without_carrier(whole, carrier, rotor_sigma=0.004)
+    carrier = free_body.KnownBody(RigidBody(0.1, C - 0.02, np.diag([8e-5, 3e-5, 9e-5])), carrier_sigma)
+    load, found = free_body.without_carrier(whole, carrier, rotor_sigma=0.004)
     assert load.mass_kg == pytest.approx(0.4)
     np.testing.assert_allclose(found.moments, principal_moments(load))
     np.testing.assert_allclose(0.5 * (found.low + found.high), found.moments)
     np.testing.assert_allclose(found.high - found.moments, 1.959964 * found.sigma, rtol=1e-4)
-    exact = standard.Whole(whole.body, np.eye(9), Gaussian(np.zeros((9, 9))))
+    exact = free_body.Whole(whole.body, np.eye(9), Gaussian(np.zeros((9, 9))))
     draws = []
     for _ in range(800):
         scale = 1.0 + 0.004 * rng.normal()
@@ -104,14 +104,14 @@ def test_what_is_left_without_the_carrier_and_its_intervals(rng):
 
         part = carrier._replace(body=draw(carrier.body, carrier_sigma))
         total = exact._replace(body=draw(whole.body, np.sqrt(np.diag(covariance))))
-        draws.append(standard.without_carrier(total, part)[1].moments)
+        draws.append(free_body.without_carrier(total, part)[1].moments)
     np.testing.assert_allclose(np.std(draws, axis=0), found.sigma, rtol=0.1)
     np.testing.assert_allclose(found.moments, np.mean(draws, axis=0), rtol=0.01)
 
 
 def test_without_a_carrier_the_whole_is_the_load():
-    whole = standard.Whole(RigidBody(0.5, C, I_C), np.eye(9), Gaussian(np.zeros((9, 9))))
-    load, found = standard.without_carrier(whole, None, rotor_sigma=0.01)
+    whole = free_body.Whole(RigidBody(0.5, C, I_C), np.eye(9), Gaussian(np.zeros((9, 9))))
+    load, found = free_body.without_carrier(whole, None, rotor_sigma=0.01)
     assert load is whole.body
     np.testing.assert_allclose(found.sigma, 0.01 * found.moments, rtol=1e-6)
 
@@ -126,8 +126,8 @@ def test_a_wrong_wheel_is_found_by_calibration(factor):
         part.inertia_kg_m2 + parallel_axis(part.mass_kg, part.centre_of_mass_m - c) for part in (device, known)
     )
     seen = [body._replace(inertia_kg_m2=body.inertia_kg_m2 / factor) for body in (device, RigidBody(0.446, c, inertia))]
-    found = standard.calibrate_rotor(*seen, known._replace(centre_of_mass_m=np.zeros(3)))
+    found = free_body.calibrate_rotor(*seen, known._replace(centre_of_mass_m=np.zeros(3)))
     assert found.factor == pytest.approx(factor)
     assert found.misfit < 1e-9
     wrong = known._replace(centre_of_mass_m=np.zeros(3), inertia_kg_m2=1.03 * known.inertia_kg_m2[::-1, ::-1])
-    assert standard.calibrate_rotor(*seen, wrong).sigma > 0.01
+    assert free_body.calibrate_rotor(*seen, wrong).sigma > 0.01

@@ -15,7 +15,7 @@ from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.dynamics.ticks import FlightSignals, tick_signals
-from onboard.identification.table.air_bearing import AirBearingPrior, DragPrior
+from onboard.identification.table.floating_base import AirBearingPrior, DragPrior
 
 URDF = (Path(onboard.__file__).parent / "vehicles" / "dymaflex_air_bearing" / "dymaflex.urdf").read_text()
 BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))

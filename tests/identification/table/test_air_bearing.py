@@ -17,7 +17,8 @@ from onboard.estimation.errors import ConvergenceError
 from onboard.identification.free_flyer.batch import MotionFit
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
-from onboard.identification.table.air_bearing import DragPrior, Searched, TableFit, Work, drag_of
+from onboard.identification.table.air_bearing import Searched, TableFit, Work, drag_of
+from onboard.identification.table.floating_base import DragPrior
 from onboard.identification.table.rivals import bound, joint_step
 from tests.identification.table.bed_run import (
     BOX,

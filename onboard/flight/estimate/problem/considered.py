@@ -136,7 +136,8 @@ def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:
 def weighs_suspects(vehicle: config.Vehicle, model: RowModel) -> bool:
     """Whether the rows are of an arm on a fixed base, and begin anew.
 
-    Gains and friction of motors change between recordings, which no hypothesis says: there what is stated is widened.
+    Gains and friction of motors change between recordings, which no hypothesis of the bank says: there errors are
+    estimated as stated, or what is stated is widened.
     """
     apart = bool(model.motors) and vehicle.is_recorded
     return not (model.vehicle.spec.base.moves or vehicle.file.estimation.carried or apart)

@@ -53,9 +53,9 @@ from onboard.identification.online import OnlineIdentifier
 from onboard.identification.quantities import DrawingTolerance, Quantity, mass_quantities
 from onboard.identification.rows.checks.suspected import of_no_key
 from onboard.identification.rows.checks.suspects import RowSuspects
+from onboard.identification.rows.free_body import free_body_quantities
 from onboard.identification.rows.hypotheses import Hypotheses
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.standard import free_body_quantities
 from onboard.identification.rows.stated_errors.considered import Considered, Start
 from onboard.identification.rows.stated_errors.whitening import Whitening
 from onboard.identification.table.run import TableRun

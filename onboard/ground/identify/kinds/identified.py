@@ -21,8 +21,9 @@ from onboard.ground.identify.kinds.throws import Throw, plain
 from onboard.identification.free_flyer.before_capture import BeforeCapture
 from onboard.identification.observability import ObservedDirections
 from onboard.identification.quantities import Contribution, Findings, QuantityEstimate, Useful, sizes
+from onboard.identification.rows.fitted_drawing import FittedLink
 from onboard.identification.rows.held_out import HeldOut
-from onboard.identification.rows.standard import FittedLink, LinkEstimate
+from onboard.identification.rows.standard import LinkEstimate
 from onboard.identification.standing import Level, Standing, standing
 from onboard.identification.verdict import Evidence, Verdict, standings_of, verdict
 from onboard.recording.reader import LogReader

@@ -40,7 +40,7 @@ from onboard.identification.free_flyer.batch import MotionFit, PayloadFit, held_
 from onboard.identification.free_flyer.prediction.ticks import Ticks
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, QuantityEstimate
-from onboard.identification.table import air_bearing
+from onboard.identification.table import air_bearing, floating_base
 from onboard.identification.table.rivals import answered
 from onboard.identification.verdict import TOO_SHORT, Evidence
 from onboard.identification.windows import SHORTEST
@@ -98,7 +98,7 @@ def identify_table(vehicle: config.Vehicle, log: LogReader) -> Identified:
 def _identified(
     kept: Kept,
     build: Callable[[Ticks, bool], air_bearing.TableFit],
-    pucks: Mapping[str, air_bearing.DragPrior],
+    pucks: Mapping[str, floating_base.DragPrior],
 ) -> Identified:
     """Estimates and verdict of a log's longest interval with one payload.
 
@@ -150,7 +150,7 @@ def _corrections(motion_fit: MotionFit, found: PayloadFit, payload: str) -> dict
     }
 
 
-def table_prior(vehicle: config.Vehicle) -> air_bearing.AirBearingPrior:
+def table_prior(vehicle: config.Vehicle) -> floating_base.AirBearingPrior:
     """What is known of a run besides payload and links where it begins as the base is let go.
 
     Raises:
@@ -159,9 +159,9 @@ def table_prior(vehicle: config.Vehicle) -> air_bearing.AirBearingPrior:
     asked = vehicle.file.planar
     if asked is None:
         raise config.ConfigError(f"{vehicle.label}: no section [planar], which names table and pucks")
-    pucks = {puck.frame: air_bearing.DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
+    pucks = {puck.frame: floating_base.DragPrior(puck.viscous_sigma_N_s_m, puck.coulomb_sigma_N) for puck in asked.puck}
     known = asked.velocity_sigma_m_s, asked.rate_sigma_rad_s, pucks, asked.tilt_sigma_m_s2, asked.sag_sigma
-    return air_bearing.AirBearingPrior(*known, imu_prior_of(vehicle))
+    return floating_base.AirBearingPrior(*known, imu_prior_of(vehicle))
 
 
 def ticks_together(vehicle: config.Vehicle) -> int:
@@ -171,13 +171,13 @@ def ticks_together(vehicle: config.Vehicle) -> int:
     return max(1, round(apart_s * settings.row_rate_hz))
 
 
-def underway(at_start: air_bearing.AirBearingPrior) -> air_bearing.AirBearingPrior:
+def underway(at_start: floating_base.AirBearingPrior) -> floating_base.AirBearingPrior:
     """The same where it begins later: the velocity is hardly known."""
     return at_start._replace(velocity_m_s=_UNDERWAY_m_s)
 
 
 def _drags(
-    found: PayloadFit, pucks: Mapping[str, air_bearing.DragPrior], wider: float
+    found: PayloadFit, pucks: Mapping[str, floating_base.DragPrior], wider: float
 ) -> tuple[tuple[QuantityEstimate, ...], str]:
     """Drag of each puck, supported if its sigma is at most a fifth of the prior's; and why the fit is refused."""
     drag = air_bearing.drag_of(found, pucks)

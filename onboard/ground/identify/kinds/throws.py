@@ -21,7 +21,7 @@ from onboard.dynamics.model.inertia import RigidBody, elements, symmetric
 from onboard.estimation.arrays import FloatArray
 from onboard.identification.corrections import contradicted
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Estimate
-from onboard.identification.rows import standard
+from onboard.identification.rows import free_body
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.standard import LinkEstimate, whole_estimate
 
@@ -41,7 +41,7 @@ class Throw:
 
     load: config.Load
     body: RigidBody | None  # in base axes; None if not determined
-    principal: standard.PrincipalMoments | None
+    principal: free_body.PrincipalMoments | None
     whole: LinkEstimate | None = None  # carrier and load, the rotors locked
 
     @property
@@ -108,8 +108,8 @@ class LoadSummary(NamedTuple):
 class ThrowCalibration(NamedTuple):
     """Calibration from throws of the carrier and of the proof body."""
 
-    rotor: standard.RotorCalibration
-    carrier: standard.KnownBody
+    rotor: free_body.RotorCalibration
+    carrier: free_body.KnownBody
 
     def as_toml(self) -> str:
         """The tables of the vehicle file; the rotors' inertia in the URDF is to be multiplied by the factor."""
@@ -156,14 +156,14 @@ def load_of(vehicle: config.Vehicle, log: Path) -> config.Load:
     )
 
 
-def carrier_of(vehicle: config.Vehicle) -> standard.KnownBody | None:
+def carrier_of(vehicle: config.Vehicle) -> free_body.KnownBody | None:
     """The carrier as the vehicle file has it."""
     carrier = vehicle.file.free_body.carrier if vehicle.file.free_body else None
     if carrier is None:
         return None
     inertia = symmetric(np.array(carrier.inertia_kg_m2))
     body = RigidBody(carrier.mass_kg, np.array(carrier.centre_of_mass_m), inertia)
-    return standard.KnownBody(body, np.array([*carrier.centre_of_mass_sigma_m, *carrier.inertia_sigma_kg_m2]))
+    return free_body.KnownBody(body, np.array([*carrier.centre_of_mass_sigma_m, *carrier.inertia_sigma_kg_m2]))
 
 
 def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) -> config.Vehicle:
@@ -174,7 +174,7 @@ def with_carrier(vehicle: config.Vehicle, load: config.Load, identifier: Identif
         load: the carrier alone.
         identifier: after its logs.
     """
-    whole, section = standard.whole_body(identifier, load.mass_kg), vehicle.file.free_body
+    whole, section = free_body.whole_body(identifier, load.mass_kg), vehicle.file.free_body
     assert section is not None
     carrier = Carrier(**_carrier_keys(whole.body, whole.sigma))
     return vehicle.with_sections(free_body=section.model_copy(update={"carrier": carrier}))
@@ -212,12 +212,12 @@ def throw(vehicle: config.Vehicle, load: config.Load, identifier: Identifier) ->
     # Few independent blocks of time give a wide but valid interval; the prior alone is not an estimate.
     estimated = identifier.estimate().quantities if identifier.rows_used else ()
     told = {q.name for q in estimated if q.shrinkage <= SUPPORTED_SHRINKAGE}
-    if not set(standard.FREE_BODY) <= told:
+    if not set(free_body.FREE_BODY) <= told:
         return Throw(load, None, None)
     carrier = None if load.role == "carrier" else carrier_of(vehicle)
     mass = load.mass_kg + (carrier.body.mass_kg if carrier else 0.0)
-    whole = standard.whole_body(identifier, mass)
-    found = standard.without_carrier(whole, carrier, section.rotor_sigma)
+    whole = free_body.whole_body(identifier, mass)
+    found = free_body.without_carrier(whole, carrier, section.rotor_sigma)
     return Throw(load, *found, whole_estimate(vehicle.file.vehicle.base_link, whole, section.rotor_sigma))
 
 
@@ -230,8 +230,8 @@ def unlike_the_carrier(vehicle: config.Vehicle, load: config.Load, estimate: Est
     if carrier is None or section is None or load.role != "carrier":
         return ()
     known = [*carrier.body.centre_of_mass_m, *elements(carrier.body.inertia_kg_m2)]
-    stated = dict(zip(standard.FREE_BODY, zip(known, carrier.sigma, strict=True), strict=True))
-    scale = dict.fromkeys(standard.INERTIA, section.rotor_sigma)
+    stated = dict(zip(free_body.FREE_BODY, zip(known, carrier.sigma, strict=True), strict=True))
+    scale = dict.fromkeys(free_body.INERTIA, section.rotor_sigma)
     away = {}
     for one in estimate.quantities:
         if one.shrinkage <= SUPPORTED_SHRINKAGE:
@@ -270,9 +270,9 @@ def calibrate(vehicle: config.Vehicle, calibration: Mapping[str, Identifier]) ->
         return None
     device_kg, proof = by_role["carrier"].mass_kg, by_role["proof"]
     assert proof.truth_kg_m2 is not None
-    device = standard.whole_body(calibration["carrier"], device_kg, exact=True)
-    both = standard.whole_body(calibration["proof"], device_kg + proof.mass_kg, exact=True)
+    device = free_body.whole_body(calibration["carrier"], device_kg, exact=True)
+    both = free_body.whole_body(calibration["proof"], device_kg + proof.mass_kg, exact=True)
     known = RigidBody(proof.mass_kg, np.zeros(3), np.diag(proof.truth_kg_m2))
-    rotor = standard.calibrate_rotor(device.body, both.body, known)
+    rotor = free_body.calibrate_rotor(device.body, both.body, known)
     body = device.body._replace(inertia_kg_m2=rotor.factor * device.body.inertia_kg_m2)
-    return ThrowCalibration(rotor, standard.KnownBody(body, device.sigma * np.repeat([1.0, rotor.factor], [3, 6])))
+    return ThrowCalibration(rotor, free_body.KnownBody(body, device.sigma * np.repeat([1.0, rotor.factor], [3, 6])))

@@ -20,8 +20,8 @@ from onboard.flight.estimate.problem.model import build_model
 from onboard.ground.log.tables.truth import Truth
 from onboard.identification.pivot.online import PivotRun
 from onboard.identification.quantities import BODY, BODY_UNITS
+from onboard.identification.rows.free_body import FREE_BODY
 from onboard.identification.rows.identifier import Identifier
-from onboard.identification.rows.standard import FREE_BODY
 from onboard.identification.standing import Level
 from onboard.recording.reader import LogReader
 from onboard.regressor.friction import COLUMNS

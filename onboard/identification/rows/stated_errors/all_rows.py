@@ -1,4 +1,4 @@
-"""Which error of an arm explains all of its rows, by the sums over them.
+"""Errors of an arm with all as stated, and which one explains all of its rows, by the sums over them.
 
 Rows are linear about the motion as it was read. What a hypothesis that moves angles, or the level, leaves over here
 tells nothing, then: rows that are made again about it judge it (:mod:`onboard.identification.rows.checks.suspects`).
