@@ -50,6 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``heft`` and return its exit code."""
     # The matrices are small: BLAS threads cost more than they save (a replay takes a third of the time without).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if "numpy" in sys.modules:  # which has read that by now: called from a script
+        from threadpoolctl import threadpool_limits
+
+        threadpool_limits(1, user_api="blas")
     # Pydantic looks for plugins in the metadata of every installed package: 0.03 s of every start.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     if not any(isinstance(finder, _LateParts) for finder in sys.meta_path):

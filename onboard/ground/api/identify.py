@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from threadpoolctl import threadpool_limits
+
 from onboard import config
 from onboard.ground.api.flight_log import FlightLog, vehicle_named
 from onboard.ground.identify import identify as again
@@ -34,6 +36,6 @@ def identify(
     """
     several = [logs] if isinstance(logs, str | Path | FlightLog) else logs
     paths = [log.path if isinstance(log, FlightLog) else Path(log) for log in several]
-    with tempfile.TemporaryDirectory() as directory:
+    with tempfile.TemporaryDirectory() as directory, threadpool_limits(1, user_api="blas"):  # as onboard.cli.main
         flown = vehicle_named(vehicle) or flown_by([LogReader(path) for path in paths], Path(directory))
         return again.identify(again.by_method(flown, method) if method else flown, paths)

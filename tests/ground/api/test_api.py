@@ -3,10 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import heft
 from drivers import records
 from onboard.channels import QUANTITY, outer_ends
+from onboard.cli import main
+from onboard.ground.identify import identify
+from onboard.ground.identify.replay import replay
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.writer import LogWriter
 
@@ -104,3 +108,29 @@ def test_an_empty_table_is_a_table(told):
 def test_identify_asks_for_a_vehicle_where_the_log_has_none(told):
     with pytest.raises(ValueError, match="carries no vehicle file; give the vehicle"):
         heft.identify(told)
+
+
+def _blas_threads():
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize(
+    ("call", "room", "name"),
+    [(lambda log: heft.identify(log, "rocksat"), identify, "identify"), (heft.replay, replay, "_replay")],
+)
+def test_a_script_computes_on_a_thread_as_the_commands_do(told, monkeypatch, call, room, name):
+    """Two threads of BLAS on two busy cores wait for each other: 250 s and more of a fit that takes 18 s."""
+    seen = list[set[int]]()
+    monkeypatch.setattr(replay, "vehicle_of", lambda *_: None)
+    monkeypatch.setattr(room, name, lambda *_: seen.append(_blas_threads()))
+    with threadpool_limits(2, user_api="blas"):
+        call(told.path)
+        assert _blas_threads() == {2}  # those of the script are its own
+    assert seen == [{1}]
+
+
+def test_so_does_a_command_that_a_script_calls():
+    with threadpool_limits(2, user_api="blas"):
+        with pytest.raises(SystemExit):
+            main(["--version"])
+        assert _blas_threads() == {1}

@@ -22,6 +22,7 @@ from rich.console import Group, RenderableType
 from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
+from threadpoolctl import threadpool_limits
 
 from drivers.records import Batch, Rows
 from onboard import config
@@ -116,7 +117,7 @@ def replay(path: Path, progress: Progress | None = None) -> Replay:
     """
     log = LogReader(path, kept=1.0)
     restarts_ns = _restarts_ns(log)  # first: the vehicle then takes no pass of its own
-    with tempfile.TemporaryDirectory() as directory:
+    with tempfile.TemporaryDirectory() as directory, threadpool_limits(1, user_api="blas"):  # as onboard.cli.main
         return _replay(log, vehicle_of(log, Path(directory)), restarts_ns, follow(progress, "replay", log))
 
 
