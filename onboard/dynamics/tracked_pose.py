@@ -26,7 +26,7 @@ from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.kinematics import Frames
 from onboard.dynamics.spatial import Columns
-from onboard.estimation.arrays import FloatArray, hat
+from onboard.estimation.arrays import FloatArray, eigen, hat
 
 LINES = 7  # attitude w, x, y, z, position x, y, z
 MOTION = slice(0, 10)  # of its unknowns: attitude, place and velocity of the centre of mass
@@ -201,4 +201,4 @@ def quaternion_of(R: FloatArray) -> FloatArray:
     K = np.empty((4, 4))  # its largest eigenvector (Bar-Itzhack 2000)
     K[0, 0], K[1:, 1:] = np.trace(R), R + R.T - np.trace(R) * np.eye(3)
     K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    return np.asarray(np.linalg.eigh(K)[1][:, -1], np.float64)
+    return np.asarray(eigen(K)[1][:, -1], np.float64)

@@ -34,6 +34,22 @@ def scatter(values: FloatArray) -> FloatArray:
     return np.asarray(OF_MEDIAN * np.median(np.abs(values), axis=0), np.float64)
 
 
+def eigen(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues, ascending, and eigenvectors as columns of symmetric matrices, (..., p) and (..., p, p).
+
+    OpenBLAS's divide and conquer (``dsyevd``) ends without convergence on some matrices that are sound; the same by
+    the other triangle is rounded otherwise and converges.
+
+    Raises:
+        LinAlgError: numbers that are not finite.
+    """
+    try:
+        values, vectors = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix, UPLO="U")
+    return values, vectors
+
+
 def hat(a: FloatArray) -> FloatArray:
     """Cross-product matrices, (..., 3, 3): ``hat(a) @ b = a x b``."""
     out: FloatArray = (a @ _HAT).reshape(*a.shape, 3)

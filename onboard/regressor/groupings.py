@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from onboard.dynamics.model.tree import tree_of
 from onboard.dynamics.model.vehicle import FREE_FLYER_NV, STANDARD, VehicleModel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.regressor.base_parameters import BaseParameters, SampledMotion, grouping_of, sampled_rows
 from onboard.regressor.rows import RowModel
 
@@ -251,7 +251,7 @@ def _square_root(terms: dict[tuple[int, ...], float]) -> dict[tuple[int, ...], f
     for (i, j), c in terms.items():
         A[which.index(i), which.index(j)] += 0.5 * c
         A[which.index(j), which.index(i)] += 0.5 * c
-    values, vectors = np.linalg.eigh(A)
+    values, vectors = eigen(A)
     if len(which) < 2 or np.abs(values[:-1]).max() > 1e-9 * values[-1]:
         return None
     root = vectors[:, -1] * np.sqrt(values[-1])

@@ -11,7 +11,7 @@ import numpy as np
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, elements, parallel_axis, pseudo_inertia, symmetric
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.errors import ConvergenceError
 
 _CERTAIN = 1e-9  # of the largest
@@ -124,7 +124,7 @@ def _likeliest(chi: FloatArray, covariance: FloatArray, start: FloatArray) -> Ri
     """The minimum, by Newton's method with a barrier, from a possible body's parameters ``start``, (10,)."""
     sigma = np.sqrt(np.diag(covariance))
     sigma = np.maximum(sigma, _CERTAIN * np.abs(start).max())  # exact parameters get a very small sigma
-    values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    values, vectors = eigen(covariance / np.outer(sigma, sigma))
     L = sigma[:, None] * vectors * np.sqrt(np.maximum(values, _CERTAIN))
     P0, basis = pseudo_inertia(chi), np.array([pseudo_inertia(column) for column in L.T])  # (10, 4, 4)
 
@@ -156,6 +156,6 @@ def _likeliest(chi: FloatArray, covariance: FloatArray, start: FloatArray) -> Ri
 def _nearby(body: RigidBody) -> RigidBody:
     """A physically possible start: at least a centimetre thick in every direction."""
     second = 0.5 * np.trace(body.inertia_kg_m2) * np.eye(3) - body.inertia_kg_m2  # of mass about its centre
-    values, vectors = np.linalg.eigh(second)
+    values, vectors = eigen(second)
     second = vectors * np.maximum(values, 1e-4 * body.mass_kg) @ vectors.T
     return body._replace(inertia_kg_m2=np.trace(second) * np.eye(3) - second)

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, eigen
 from onboard.estimation.errors import RowError
 from onboard.estimation.policy import DOUBT, HALF, INTERVAL, of_each, sigmas
 from onboard.estimation.recursive.blocks import TimeBlocks
@@ -259,13 +259,13 @@ class JackknifeEstimate:
         self._scale = scale
         # Everything below is in x = V' R chi: the plain information is the identity, that of the noise diag(noise).
         corrected = _corrected(rls, blocks)
-        self.mean, plain, T, R, noise, x, keep, signal, A0, shared = corrected
+        self.mean, plain, T, R, noise, x, keep, signal, shared = corrected
         self._root = corrected.root
         causes = R @ plain.sensitivity  # (p, k)
         causes = (causes * sigma if sigma.ndim == 1 else causes @ sigma).T
         causes = np.vstack([causes, noise_sigma * (noise * x - shared)])
         self._common = T @ np.where(signal, causes / keep, 0.0).T  # (p, k + 1)
-        self._prior_half = T / keep @ half_of(A0)  # (p, p)
+        self._prior_half = T / keep @ (rls.prior_root @ T).T  # (p, r)
         mask = np.outer(signal, signal)
         H = T.T @ blocks.normal @ T * mask  # (b, p, p)
         scores = (blocks.moment @ T) * signal - H @ x  # (b, p)
@@ -313,7 +313,7 @@ class JackknifeEstimate:
         # The floor, direction by direction: eigenvalues of `rows` relative to the formal covariance, none below that of
         # the noise.
         inverse = np.linalg.inv(self._root)
-        values, vectors = np.linalg.eigh(inverse @ rows @ inverse.T)
+        values, vectors = eigen(inverse @ rows @ inverse.T)
         half = self._root @ vectors * np.sqrt(np.maximum(values, self._least))
         return np.asarray(half @ half.T + common, np.float64)
 
@@ -401,7 +401,6 @@ class _Corrected(NamedTuple):
     x: FloatArray  # (p,)
     keep: FloatArray  # (p,) information without the noise; the prior's alone where nothing else remains
     signal: BoolArray  # (p,) where something else does
-    prior: FloatArray  # (p, p) information
     shared: FloatArray  # (p,) noise that both sides share
 
     @property
@@ -413,16 +412,15 @@ class _Corrected(NamedTuple):
 def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
     plain, R = rls.solve(), rls.information_root
     T = np.linalg.inv(R)
-    noise, V = np.linalg.eigh(T.T @ blocks.noise @ T)
+    noise, V = eigen(T.T @ blocks.noise @ T)
     T, R = T @ V, V.T @ R
-    prior_information, prior_right = rls.prior_equations()
-    A0 = T.T @ prior_information @ T
+    of_prior, prior_right = ((rls.prior_root @ T) ** 2).sum(axis=0), rls.prior_equations()[1]
     signal = noise < MOST_NOISE
     noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
-    keep = np.where(signal, 1.0 - noise, np.maximum(np.diag(A0), _TINY))
+    keep = np.where(signal, 1.0 - noise, np.maximum(of_prior, _TINY))
     shared = T.T @ blocks.noise_moment
     x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
-    return _Corrected(T @ x, plain, T, R, noise, x, keep, signal, A0, shared)
+    return _Corrected(T @ x, plain, T, R, noise, x, keep, signal, shared)
 
 
 def corrected_mean(rls: SquareRootRls, blocks: BlockScores) -> FloatArray:
@@ -440,9 +438,3 @@ def innovation(
     corrected = _corrected(rls, blocks)
     spread = Y @ corrected.root
     return y - Y @ corrected.mean, np.sqrt(sigma**2 + (spread * spread).sum(axis=1))
-
-
-def half_of(matrix: FloatArray) -> FloatArray:
-    """A square root of a symmetric positive semi-definite matrix: ``half half' = matrix``."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), np.float64)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.recursive.consistency import BlockScores, corrected_mean, innovation
 from onboard.estimation.recursive.rls import SquareRootRls
 
@@ -59,7 +59,7 @@ class RecursiveLeastSquares:
 
         No residual scatters then: intervals are formal ones.
         """
-        values, vectors = np.linalg.eigh(self.blocks.noise)
+        values, vectors = eigen(self.blocks.noise)
         told = values > values[-1] * np.finfo(np.float64).eps
         rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T[told]  # rows' rows: the noise
         shared = (vectors.T @ self.blocks.noise_moment)[told] / np.sqrt(values[told])

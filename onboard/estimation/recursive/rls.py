@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.errors import RowError, SingularError
 
 _BLOCK = 16  # block size of dtpqrt
@@ -174,7 +174,7 @@ class SquareRootRls:
         (before, right), (known, other) = self.prior_equations(), made.prior_equations()
         half, _ = lapack.dtrtrs(R, before, trans=1)
         share, _ = lapack.dtrtrs(R, half.T, trans=1)  # of the prior in all information, where that is the identity
-        values, V = np.linalg.eigh(0.5 * (share + share.T))
+        values, V = eigen(0.5 * (share + share.T))
         rows = np.sqrt(np.clip(1.0 - values, 0.0, 1.0))[:, None] * (V.T @ R)
         square = np.zeros((self._size, self._size))
         square[:p, :p] = rows.T @ rows + known
@@ -277,10 +277,15 @@ class SquareRootRls:
         """A copy of R, upper triangular, (p, p): ``R' R`` is the information of prior and rows."""
         return self._triangle[: self.parameters, : self.parameters].copy()
 
+    @property
+    def prior_root(self) -> FloatArray:
+        """Rows of the prior alone, (r, p): ``root' root`` is its information."""
+        return self._prior_rows[:, : self.parameters]
+
     def prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """The normal equations of the prior alone: information (p, p) and right-hand side (p,)."""
         if self._prior_normal is None:
-            rows = self._prior_rows[:, : self.parameters]
+            rows = self.prior_root
             self._prior_normal = rows.T @ rows, rows.T @ self._prior_rows[:, -1]
         information, right = self._prior_normal
         return information.copy(), right.copy()

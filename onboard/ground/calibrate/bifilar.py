@@ -10,7 +10,7 @@ import numpy as np
 from onboard import config
 from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.inertia import elements
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.calibration.bifilar import (
     AxisErrors,
     BifilarSwing,
@@ -144,7 +144,7 @@ def _hang(read: Readings, span: LogSpan, R_BS: FloatArray, suspension: Suspensio
     if len(t) < 100:
         raise CalibrationError(f"{len(t)} samples in the swing at {span}; record faster, or longer")
     middle = rate - rate.mean(axis=0)
-    strength, directions = np.linalg.eigh(middle.T @ middle)
+    strength, directions = eigen(middle.T @ middle)
     axis = directions[:, -1]
     if strength[-1] < 25.0 * strength[-2]:
         raise CalibrationError(

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray, IndexArray, eigen
 from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELIER
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.native import library, structures
@@ -108,7 +108,7 @@ class Changed(NamedTuple):
             scale = 1.0 / np.sqrt(1.0 + max(self.J[k, k], 0.0))
             return np.array([self.d[k] * scale**2]), np.array([[scale]])
         at = np.asarray(which, np.intp)
-        values, V = np.linalg.eigh(np.eye(len(at)) + self.J[at[:, None], at])
+        values, V = eigen(np.eye(len(at)) + self.J[at[:, None], at])
         root = V / np.sqrt(np.maximum(values, 1.0))  # rounding alone makes an information negative
         return root @ (root.T @ self.d[at]), root
 
@@ -324,7 +324,7 @@ class Bank:
         """Evidence of every suspect of these numbers being wrong, over that of none of all."""
         (x, P), (U, inner) = stated, self._of_these(which)
         M, g = inner - U.T @ P[np.ix_(self.at, self.at)] @ U, U.T @ x[self.at]
-        values, V = np.linalg.eigh(M)
+        values, V = eigen(M)
         values = np.maximum(values, 1.0)  # below one by rounding
         return float(0.5 * ((V.T @ g) ** 2 / values).sum() - 0.5 * np.log(values).sum())
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray, IndexArray, eigen
 from onboard.estimation.policy import AGAIN
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 
@@ -79,7 +79,7 @@ def reduced(whitened: FloatArray, sigma: FloatArray) -> FloatArray:
         sigma: of the unknowns before the flight, (p,).
     """
     scaled = whitened * sigma
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    values, vectors = eigen(scaled.T @ scaled)
     kept = values > LEAST
     return np.asarray(np.sqrt(values[kept])[:, None] * vectors[:, kept].T / sigma, np.float64)
 
@@ -107,7 +107,7 @@ def shares(covariance: FloatArray, asked: Asked, names: Sequence[str]) -> list[t
         Falling. If a group of unknowns were known exactly, its share would be gone; shares overlap.
     """
     scaled = asked.jacobian / asked.targets[:, None]
-    values, vectors = np.linalg.eigh(scaled @ covariance[PAYLOAD, PAYLOAD] @ scaled.T)
+    values, vectors = eigen(scaled @ covariance[PAYLOAD, PAYLOAD] @ scaled.T)
     with_each = vectors[:, -1] @ scaled @ covariance[PAYLOAD]
     groups: dict[str, list[int]] = {}
     for k in range(PAYLOAD.stop, len(names)):

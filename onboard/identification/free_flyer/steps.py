@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import ROUNDING, FloatArray, IndexArray
+from onboard.estimation.arrays import ROUNDING, FloatArray, IndexArray, eigen
 from onboard.estimation.policy import FARTHEST_SIZE, LEAST_WEIGHT, LIKELY_SIZE, STEPS_PER_HOUR, LIKELY_DELAY_s
 from onboard.identification.evidence.bank import Changed, Hypothesis, Suspect, columns_of
 from onboard.identification.evidence.bodies import CHANGES, EACH, changes
@@ -318,7 +318,7 @@ class Steps:
 
 def _positive(A: FloatArray, power: float) -> FloatArray:
     """Powers of the positive parts of symmetric matrices, (n, k, k)."""
-    values, V = np.linalg.eigh(A)
+    values, V = eigen(A)
     there = values > ROUNDING * values.max(axis=1, keepdims=True)
     there &= values > 0.0
     powers = np.power(values, power, out=np.zeros_like(values), where=there)

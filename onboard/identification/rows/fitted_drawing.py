@@ -22,7 +22,7 @@ import numpy as np
 
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import body_jacobian, standard_of
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.identification.rows.standard import LinkEstimate, Posterior
 
 LEAST, MOST = 1e-9, 100.0  # that a vehicle file can state
@@ -84,7 +84,7 @@ def _covering(P: FloatArray, links: int) -> FloatArray:
     np.maximum.at(sigma, which, np.sqrt(np.maximum(np.diag(P), 0.0)))
     sigma = np.maximum(sigma, LEAST)
     for _ in range(_MOST_STEPS):
-        values, vectors = np.linalg.eigh(P / np.outer(sigma[which], sigma[which]))
+        values, vectors = eigen(P / np.outer(sigma[which], sigma[which]))
         if values[-1] <= 1.0 + _ENOUGH:
             break
         sigma *= values[-1] ** (0.5 * np.bincount(which, vectors[:, -1] ** 2))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.identification.rows.checks.prediction import HeldOutFit, predicted, reference_of
 from onboard.identification.rows.identifier import Identifier
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -99,7 +99,7 @@ def _solved(normal: FloatArray, noise: FloatArray, identifier: Identifier) -> tu
     clean = normal - noise
     H = root.T @ clean[:-2, :-2] @ root
     g = root.T @ (clean[:-2, -2] - clean[:-2, :-2] @ center)
-    values, vectors = np.linalg.eigh(H)
+    values, vectors = eigen(H)
     told = 1.0 + np.maximum(values, 0.0)
     step = np.where(values > 0.0, vectors.T @ g / told, 0.0)
     unit = np.linalg.solve(root.T, vectors)

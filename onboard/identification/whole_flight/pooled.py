@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
-from onboard.estimation.arrays import FloatArray, IndexArray
+from onboard.estimation.arrays import FloatArray, IndexArray, eigen
 from onboard.estimation.errors import ConvergenceError, SingularError
 from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, Normal, inverse_of
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
@@ -51,7 +51,7 @@ def score_of(gradient: FloatArray, own: FloatArray, spread: FloatArray, misfit: 
         misfit: of the fit, by which the sum is less where it is above one.
     """
     scale = np.sqrt(np.maximum(np.diag(own), np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(spread / np.outer(scale, scale))
+    values, vectors = eigen(spread / np.outer(scale, scale))
     told = values > _DETERMINED
     squares = float(((vectors[:, told].T @ (gradient / scale)) ** 2 / values[told]).sum())
     return Chance(squares / max(1.0, misfit), int(np.count_nonzero(told)))

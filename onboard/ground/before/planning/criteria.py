@@ -4,7 +4,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 
 
 class Criterion(StrEnum):
@@ -28,7 +28,7 @@ def cost(covariance: FloatArray, scales: FloatArray, criterion: Criterion) -> fl
 
 def weakest(covariance: FloatArray, scales: FloatArray, names: tuple[str, ...]) -> str:
     """The longest axis of the ellipsoid in words: what is known least, alone or together."""
-    values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
+    values, vectors = eigen(covariance / np.outer(scales, scales))
     part = vectors[:, -1] * np.sign(vectors[np.argmax(np.abs(vectors[:, -1])), -1])
     order = np.argsort(-np.abs(part))
     shown = [k for k in order.tolist() if abs(part[k]) > 0.3]

@@ -15,7 +15,7 @@ import numpy as np
 
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import BodyEstimate, numbers_of
-from onboard.estimation.arrays import FloatArray, finite, gaps
+from onboard.estimation.arrays import FloatArray, eigen, finite, gaps
 from onboard.estimation.errors import EstimationError
 from onboard.estimation.policy import contradicted_text
 from onboard.estimation.recursive.rls import Observability
@@ -270,7 +270,7 @@ def _size(body: RigidBody) -> FloatArray:
 def body_seen(payload: BodyEstimate) -> Observability:
     """Observability of the payload's ten numbers, with its own scale as prior."""
     size = _size(payload.body)
-    values, vectors = np.linalg.eigh(payload.covariance / np.outer(size, size))
+    values, vectors = eigen(payload.covariance / np.outer(size, size))
     gain = 1.0 / np.maximum(values[::-1], np.finfo(np.float64).tiny) - 1.0  # ascending
     shrinkage = np.sqrt(np.diag(payload.covariance)) / size
     return Observability(shrinkage, np.maximum(gain, 0.0), size[:, None] * vectors[:, ::-1])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstimate
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.ground.report.flight.flight_data import SweepData
@@ -82,7 +82,7 @@ def _root(information: FloatArray) -> FloatArray:
     """Rows (r, size) with ``rows' rows = information``; eigenvalues negative by rounding are left out."""
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    values, vectors = eigen(information / np.outer(scale, scale))
     real = values > 1e-12 * max(values[-1], 0.0)
     rows: FloatArray = (vectors[:, real] * np.sqrt(values[real])).T * scale
     return rows

@@ -47,7 +47,7 @@ from scipy.linalg.lapack import dposv
 from onboard.dynamics.cut_wrench import CutWrench
 from onboard.dynamics.joint_errors import JointErrors
 from onboard.dynamics.model.vehicle import VehicleModel
-from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray
+from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray, eigen
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import PlacedImu
@@ -137,7 +137,7 @@ def correction_of(
         return NoiseCorrection(first, NOISE_SIGMA * first, none := np.zeros((len(x), 0)), none)
     noise = first @ B / share  # the gradient is B times this
     G, lines = _of_lines_alone(known, B, share, sigma, released)
-    G, Q = np.linalg.eigh(0.5 * (G + G.T))  # shares of noise in the information of the lines alone
+    G, Q = eigen(0.5 * (G + G.T))  # shares of noise in the information of the lines alone
     lines, here, noise = Q.T @ lines, Q.T @ (B.T @ x), Q.T @ noise
     B, share = B @ Q, Q.T * share @ Q
     # H - K V^-1 K = B lost B', and K V^-1 times the score is that and B scores: where all is noise, and where it is not
@@ -154,7 +154,7 @@ def correction_of(
     doubt, other = np.zeros(len(G)), (noise + B.T @ shift)[k]  # gradient and slopes that another power would add
     doubt[k] = other - by @ (G[k] * other)
     doubt = rest + PB @ (doubt + more @ (share @ doubt))
-    values, R = np.linalg.eigh(more)
+    values, R = eigen(more)
     root = PB @ R * np.sqrt(np.maximum(values, 0.0))
     most = values * np.einsum("ij,ij->j", R, share @ R) > NOISELESS
     return NoiseCorrection(shift, NOISE_SIGMA * doubt, root, root[:, most])
@@ -183,7 +183,7 @@ def _of_lines_alone(
 
 def _root_less(by: FloatArray) -> FloatArray:
     """Symmetric root of one less ``by by'``, which is at most one, (k, k)."""
-    taken, V = np.linalg.eigh(by.T @ by)
+    taken, V = eigen(by.T @ by)
     V, taken = V[:, some := taken > ROUNDING], taken[some]
     by = by @ V / np.sqrt(taken)
     return np.asarray(np.eye(len(by)) + by * (np.sqrt(np.maximum(1.0 - taken, 0.0)) - 1.0) @ by.T, np.float64)
@@ -214,9 +214,9 @@ def _directions(P: FloatArray, added: NoiseAdded) -> tuple[FloatArray, FloatArra
     diagonal = added.information.diagonal()
     counts = (diagonal > NOISELESS * added.of_lines) | (diagonal * P.diagonal()[: len(diagonal)] > NOISELESS)
     at = np.flatnonzero(counts & (diagonal > 0.0))
-    values, V = np.linalg.eigh(added.information[at[:, None], at])
+    values, V = eigen(added.information[at[:, None], at])
     V = V * np.sqrt(np.maximum(values, 0.0))
-    share, U = np.linalg.eigh(V.T @ P[at[:, None], at] @ V)
+    share, U = eigen(V.T @ P[at[:, None], at] @ V)
     B = np.zeros((len(P), int((own := share > ROUNDING * share.max(initial=0.0)).sum())))
     B[at] = V @ U[:, own]
     return B, share[own]

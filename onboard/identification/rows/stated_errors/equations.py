@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
+from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, eigen
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.rows.row_blocks import RowBlocks
@@ -96,7 +96,7 @@ class Information(NamedTuple):
         Of the sandwich ``P sum_b s_b s_b' P`` (Huber, 1967) what is more than ``P A P``.
         """
         root = np.linalg.cholesky(P)
-        values, V = np.linalg.eigh(root.T @ (self.scores.T @ self.scores - self.A) @ root)
+        values, V = eigen(root.T @ (self.scores.T @ self.scores - self.A) @ root)
         half = root @ V * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(half @ half.T, np.float64)
 
@@ -161,7 +161,7 @@ class ErrorEquations:
             H += weighted @ part.sums @ J
             doubt += weighted @ (part.noise @ v)
             scores[np.searchsorted(times_s, part.times_s)] -= (part.blocks @ v) @ weighted.T
-        values, V = np.linalg.eigh(self._L.T @ H @ self._L)
+        values, V = eigen(self._L.T @ H @ self._L)
         V, values = V[:, values > 0.0], values[values > 0.0]  # the others are of regressors that are noise
         told = V @ V.T
         each = scores @ self._L @ told

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import ROUNDING, FloatArray
+from onboard.estimation.arrays import ROUNDING, FloatArray, eigen
 from onboard.estimation.maximum_likelihood import OPEN
 from onboard.estimation.policy import HALF, INTERVAL, ODDS_OF_PART, times_text
 from onboard.estimation.recursive.consistency import MOST_NOISE, NOISE_SIGMA, BlockScores, NoiseScale, noise_scale
@@ -203,7 +203,7 @@ class FittedCorrections:
             noise = NoiseScale(*np.maximum(1.0, found).tolist())
             wider = np.maximum(1.0, (FREEDOM + c * c + np.diag(P)[p:] / own**2) / (FREEDOM + 1.0))
         M = P[p:, p:] / np.outer(own, own) + np.outer(c, c)
-        values, V = np.linalg.eigh(M * (stdtrit(noise.freedom, 0.5 + 0.5 * INTERVAL) / HALF) ** 2)
+        values, V = eigen(M * (stdtrit(noise.freedom, 0.5 + 0.5 * INTERVAL) / HALF) ** 2)
         root = np.diag(stated)
         root[np.ix_(of, of)] = own[:, None] * (V * np.sqrt(np.maximum(values, 0.0)) @ V.T)
         return root, noise
