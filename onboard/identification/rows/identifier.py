@@ -133,8 +133,8 @@ class Identifier:
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
         if stated and not free and not self._scales and start is None:
-            of_file, alone = (stated, considered, instruments, base, self._as_stated), recorded_apart and not suspects
-            self._stated = StatedSigmas(*of_file, estimates=alone)
+            of_file = stated, considered, instruments, base, self._as_stated
+            self._stated = StatedSigmas(*of_file, estimates=not model.vehicle.spec.base.moves)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
         self._is_over = False  # no more rows come
 
@@ -258,7 +258,7 @@ class Identifier:
         noisy = NoisyRows(rows, y, self.errors.factors(*asked), sigma, signals.sigma[at][use] * widening[kept], doubt)
         if self.whitening is not None:
             noisy = self.whitening.filter(signals, at, use, noisy, effect[kept], widening[kept])
-        rows, y, C, sigma, own, doubt = self.errors.at(noisy, mean)
+        rows, y, C, sigma, own, doubt = self.errors.at(noisy, attached[at][tick], mean)
         self.recursion.add(times + _APART_s * self._recorded_apart * attached[at][tick], rows, y, sigma, C, doubt)
         of = times, attached[at][tick], self._instrument[row]
         self.seen.add(*of, rows, y, sigma, own, doubt, C, mean, self.errors.noise(signals, at[tick], doubt, mean))
@@ -305,8 +305,10 @@ class Identifier:
             plain, prior = taken.rls.solve().mean, taken.rls.prior_equations()[0]
             bodies = drawn, without_unknown(self.model, self.base), self.base.of_bodies
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
-            beside = but_gains(taken.considered, self.considered)[: self.seen.considered]
-            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, beside), self.considered)
+            causes = self.considered[: self.seen.considered]
+            friction = {k: one.axis for k, one in enumerate(causes) if one.effect == "held_friction"}
+            beside = but_gains(taken.considered[: len(causes)], causes), friction
+            self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, *beside), self.considered)
         return self._fitted[1]
 
     @property

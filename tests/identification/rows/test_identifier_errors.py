@@ -231,6 +231,19 @@ def test_a_gain_of_the_recording_with_the_payload_moves_its_rows_alone(rng):
     assert not D[:, 0, :-1].any()
 
 
+def test_friction_that_differs_with_the_payload_is_a_share_of_its_column_there(rng):
+    signals, held, _ = rocksat_flight.flight(rng)
+    who, at = rocksat_flight.identifier(()), np.arange(20, held.size, 40)
+    use, p, number = np.ones((at.size, len(who.model.rows)), np.bool_), len(who.base.names), 1
+    warmed, made = Considered("Fv", "", "held_friction", 0.2, axis=number), who.errors.regressors([signals], at, held)
+    D = columns([warmed], who.model, signals, at, use, held, p, lambda of: who.errors.regressors(of, at, held))
+    assert D is not None
+    own = np.where(held[at, None], made[0, ..., number], 0.0)
+    assert 0 < np.count_nonzero(own) < np.count_nonzero(made[0, ..., number])
+    np.testing.assert_array_equal(D[:, 0, number], own[use])
+    assert not np.delete(D[:, 0], number, axis=1).any()
+
+
 def test_a_bias_acts_on_the_body_that_was_found_not_on_the_drawn(rng):
     """A constant error of the specific force times a first moment: both are unknown."""
     signals, held, _ = rocksat_flight.flight(rng)

@@ -8,6 +8,7 @@ from onboard.devices.roles import ImuRole, LoadCellKeys, LoadCellRole, Roles, To
 from onboard.dynamics.model.vehicle import VehicleModel
 from onboard.identification.rows.stated_errors.considered import Considered, Effect
 from onboard.identification.rows.stated_errors.stated import Stated
+from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 
 _OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
@@ -15,6 +16,7 @@ _OF_SENSORS: tuple[tuple[str, str, Effect, Effect, Effect], ...] = (
     ("accel", "accelerometer", "accelerometer_scale", "accelerometer_misalignment", "accelerometer_delay"),
 )
 _WARMER = 0.005  # of all torques with the payload: magnets lose 0.1 % a kelvin (NdFeB), of five between two recordings
+_WARMED = 0.2  # of a joint's friction: Fv of a UR3 falls by it on average as it warms (Raviola et al., Robotics 10, 83)
 COMMON_SHARE = 0.5  # of the variance of each gain, of which no data sheet gives it: see :func:`of_gains`
 
 
@@ -116,6 +118,14 @@ def of_gains(found: Sequence[Considered], roles: Roles, *, recorded: bool) -> li
     own.append(Considered("scale of all torques", "", "scale", common, "scale_sigma of all torques"))
     what, key = "scale of all torques with the payload", "between_recordings_sigma of all torques"
     return [*own, Considered(what, "", "held_scale", _WARMER, key)] if recorded else own
+
+
+def of_friction(base: BaseParameters) -> Iterator[Considered]:
+    """What each joint's friction is in the recording with the payload beside that without, by temperature and load."""
+    for number, name in enumerate(base.names):
+        if name.startswith(("Fv_", "Fc_")):
+            key = f"{name} between recordings"
+            yield Considered(f"{name} with the payload", "", "held_friction", _WARMED, key, number)
 
 
 def stated_by(prior: config.Prior, model: RowModel) -> list[Stated]:

@@ -14,6 +14,7 @@ from onboard.estimation.smoothing import Response
 from onboard.flight.estimate.problem.considered import (
     of_bias,
     of_cell,
+    of_friction,
     of_gains,
     of_motion,
     stated_by,
@@ -225,6 +226,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         prior = row_prior(settings.prior, row_model, {**offsets, **scales}, level)
         known = np.asarray(~prior.any(axis=1), np.bool_)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
+        considered += of_friction(base) if vehicle.is_recorded else ()
         quantities: tuple[Quantity, ...] = ()
         if settings.masses:
             stated = settings.masses.drawing.items()

@@ -32,7 +32,8 @@ the rows without the payload.
   what it does to the estimate, beyond what chance does, with the variance by the scatter of all blocks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -207,6 +208,7 @@ def _squares(H: FloatArray, c: FloatArray) -> FloatArray:
 
 
 _NONE, _EXACT = np.zeros(0), 1e-12  # no considered errors; sigma of one of which the file states none
+_NOTHING: Mapping[int, int | None] = MappingProxyType({})
 MOST_UNEXPLAINED = FARTHEST_SIZE * LIKELY_SIZE  # of what was measured, left over by the fit: by the farthest scale
 
 
@@ -239,6 +241,7 @@ def instrument_fits(
     correlation: float,
     recorded_apart: bool = False,
     considered: FloatArray = _NONE,
+    friction: Mapping[int, int | None] = _NOTHING,
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -253,10 +256,20 @@ def instrument_fits(
         correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
         recorded_apart: rows with the payload and those without are of different recordings.
         considered: sigmas of the considered errors, (k,): of those with one, what else may explain a gain.
+        friction: which of them are shares of a parameter of rows with the payload, and of which: columns in the blocks
+            are of the estimates of their times, which turn to what friction is with the payload.
     """
+    of_shares = np.eye(len(mean) + len(considered) + 2)
+    for share, parameter in friction.items():
+        of_shares[:, len(mean) + share] = mean[parameter] * of_shares[:, parameter]
     none = np.zeros(len(considered))
     v, *others = (np.concatenate([one, none, [-1.0, 0.0]]) for one in (mean, plain, drawn))
     rows_of = {part: blocks.with_errors(*part) for part in blocks.parts}
+    rows_of |= {
+        part: (of_shares.T @ N @ of_shares, of_shares.T @ noise @ of_shares)
+        for part, (N, noise) in rows_of.items()
+        if part[0]
+    }
     judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
     every = block_diag(prior, np.diag(correlation / np.maximum(considered, _EXACT) ** 2))
     every += sum(part.H.sum(axis=0) for part in judged.values())

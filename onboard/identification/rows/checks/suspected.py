@@ -17,7 +17,7 @@ from onboard.estimation.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DE
 from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS
-from onboard.identification.rows.stated_errors.considered import Considered, Effect
+from onboard.identification.rows.stated_errors.considered import OF_NO_KEY, Considered, Effect
 from onboard.identification.rows.stated_errors.equations import RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
@@ -66,9 +66,7 @@ def of_no_key(considered: Sequence[Considered], model: RowModel) -> list[Conside
     if not any(one.effect == _TURNS for one in considered):
         asked += [(model.vehicle.spec.base_link, _TURNS, "level", LIKELY_SIZE, axis) for axis in range(3)]
     return [
-        Considered(
-            f"{what} of {row}", row, effect, _UNSTATED * size, f"{what} of {row}, of which no key says more", axis
-        )
+        Considered(f"{what} of {row}", row, effect, _UNSTATED * size, f"{what} of {row}{OF_NO_KEY}", axis)
         for row, effect, what, size, axis in asked
     ]
 
@@ -141,6 +139,12 @@ class ErrorState:
         """Whether by the likeliest hypothesis angles, or the level, are not as stated: rows are not linear in these."""
         suspect = weighed.likeliest.suspect if weighed else None
         return suspect is not None and bool(np.isin(suspect.at, self._moving).any())
+
+    def is_remade(self, weighed: Weighed | None) -> bool:
+        """Whether the likeliest hypothesis is that of an error which no sum over all rows has."""
+        own = self._of(lambda one: one.effect in ("delay", "joint_delay", "step", "turned"))
+        suspect = weighed.likeliest.suspect if weighed and weighed.contradicts else None
+        return suspect is not None and bool(np.isin(suspect.at, own).all())
 
     def _links(self, model: RowModel, prior_root: FloatArray) -> Iterator[Suspect]:
         """Links that the rows show and that are not the payload."""

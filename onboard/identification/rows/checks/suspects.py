@@ -94,7 +94,7 @@ class RowSuspects:
     def __init__(
         self, model: RowModel, base: BaseParameters, prior_root: FloatArray, considered: Sequence[Considered]
     ) -> None:
-        errors = ErrorState(model, base, prior_root, considered)
+        self._errors = errors = ErrorState(model, base, prior_root, considered)
         self._of_all_rows = ErrorState(model, base, prior_root, considered, remade=False)
         self._remade = RowsRemade(model, base, errors.of_instruments)
         self._all_remade = RowsRemade(model, base, self._of_all_rows.of_instruments)
@@ -174,9 +174,14 @@ class RowSuspects:
         likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
         linear = scaled or self._left is None  # rows, in the errors of the likeliest
         again = not (linear or self.explains)  # they are farther from it than noise
-        if again or (contradicted and linear) or scaled:
+        by_all, asks = (self.weighed, self.answer), not (scaled or contradicted or likeliest)
+        if again or (contradicted and linear) or scaled or asks:
             self._weigh(ticks, mean, of.correlation, of.seen)
-        if again:
+        if asks:  # for what the sums do not have
+            self.explains = self._errors.is_remade(self.weighed) and not self.judged()[0]
+            if not self.explains:
+                (self.weighed, self.answer), self._left = by_all, None
+        elif again:
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
         elif contradicted and linear and not scaled:
             self.explains &= bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
@@ -243,7 +248,7 @@ class RowSuspects:
         """
         errors, own = self._of_all_rows, slice(0, self._n)
         half, seen = errors.half(of.taken.prior_root), of.seen
-        since_s = of.errors.settled_s(seen, mean)
+        since_s = of.errors.settled_s(seen, mean, suspected=True)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
         self.explains, self._left = False, None
         if rows.share < MOSTLY:
@@ -258,7 +263,8 @@ class RowSuspects:
             return
         beyond: BeyondLinear | None = None
         if errors.moves(weighed):
-            ticks, lag = self._independent(ticks.at(ticks.time_s >= since_s), of.correlation)
+            late = ticks.time_s >= np.array(since_s)[ticks.attached.astype(int)]
+            ticks, lag = self._independent(ticks.at(late), of.correlation)
             known = half, errors.centre, errors.sigma
             beyond = BeyondLinear(self._all_remade, errors.of_instruments, *known, ticks, mean)
             x, _ = beyond.of(weighed.known(weighed.likeliest), weighed.likeliest.suspect)

@@ -23,6 +23,7 @@ from onboard.regressor.rows import BaseMotion, RowFold, RowModel, base_motion
 from onboard.regressor.signals import Signals
 
 OfRow = Literal["scale", "held_scale", "delay", "drift"]
+OfParameter = Literal["held_friction"]
 OfJoint = Literal["joint_scale", "joint_zero", "joint_delay", "joint_cyclic"]
 OfImu = Literal[
     "gyro_scale",
@@ -36,8 +37,9 @@ OfImu = Literal[
     "accelerometer_bias",
 ]
 Suspected = Literal["step", "level", "turned"]  # of a scale, the base, all cells at a frame: never considered
-Effect = OfRow | OfJoint | OfImu | Suspected
+Effect = OfRow | OfParameter | OfJoint | OfImu | Suspected
 OF_GAIN = ("scale", "held_scale")
+HELD = ("held_scale", "held_friction")  # in the recording with the payload
 OF_AXES = tuple(f"{sensor}_{of}" for sensor in ("gyro", "accelerometer") for of in ("scale", "misalignment"))
 OF_AXES += ("accelerometer_cross_axis",)
 _OF_ROW = (*OF_GAIN, "delay", "drift")
@@ -46,11 +48,14 @@ _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates a
 _STEP_S = 1e-4  # of a delay
 
 
+OF_NO_KEY = ", of which no key says more"
+
+
 class Considered(NamedTuple):
     """An error common to all readings of one instrument, with a known sigma.
 
     ``axis`` of a cyclic error is the number of the function in ``Signals.cyclic`` that it is a multiple of: a cosine,
-    or its sine after it.
+    or its sine after it. That of friction is the number of its base parameter, which differs with the payload.
     """
 
     name: str
@@ -97,7 +102,7 @@ def check(considered: Sequence[Considered], model: RowModel) -> None:
 
 
 def of_motion(considered: Sequence[Considered]) -> bool:
-    """Whether any changes the regressor: an error of a joint's sensor or of the base's IMU."""
+    """Whether any does to rows what depends on the estimate: of friction, a joint's sensor or the base's IMU."""
     return any(cause.sigma > 0.0 and cause.effect not in _OF_ROW for cause in considered)
 
 
@@ -134,6 +139,7 @@ def columns(
     names, read = [row.name for row in model.rows], cache(partial(_as_read, signals, model))
     D = np.zeros((*use.shape, len(considered), parameters + 1))
     misread: dict[int, tuple[Signals, float]] = {}  # by cause, with the size of the error
+    changed = list[int]()  # causes that are of friction
     for k, cause in enumerate(considered):
         if cause.effect in OF_GAIN:
             rows = slice(None) if cause.is_common else [names.index(cause.row)]
@@ -145,13 +151,17 @@ def columns(
             if signals.measured_rate is None:
                 raise SignalError(f"{cause.name!r} is a delay; give the rate of the measured rows")
             D[:, names.index(cause.row), k, -1] = -signals.measured_rate[at, names.index(cause.row)]
+        elif cause.effect == "held_friction":
+            changed.append(k)
         else:
             step = _STEP_S if cause.effect.endswith("delay") else _STEP
             misread[k] = _misread(signals, cause, model, step, read), step
-    if misread:
+    if misread or changed:
         before, *after = regressors([signals, *(wrong for wrong, _ in misread.values())])
         for (k, (_, step)), wrongly in zip(misread.items(), after, strict=True):
             D[..., k, :] = (before - wrongly) / step
+        for k in changed:
+            D[..., k, considered[k].axis] = np.where(attached[at, None], before[..., considered[k].axis], 0.0)
     return D[use]
 
 
@@ -259,7 +269,7 @@ class ConsideredErrors:
 
     def __init__(self, considered: Sequence[Considered], model: RowModel, fold: RowFold, parameters: int) -> None:
         self._considered, self._model, self._fold, self._p = tuple(considered), model, fold, parameters
-        self._sums: FloatArray | None = None  # (k, p, p + 1)
+        self._sums: FloatArray | None = None  # (2, k, p, p + 1), of rows without the payload and with it
         self._joints = [joint.name for joint in model.vehicle.joints]
         misread = misread_noise(considered, self._joints)
         self._noisy = np.nonzero(misread.any(axis=2))  # errors, and signals of which their columns have noise
@@ -271,9 +281,9 @@ class ConsideredErrors:
         Args:
             start: that is gone on from.
         """
-        self._sums = np.zeros((len(self._considered), self._p, self._p + 1))
+        self._sums = np.zeros((2, len(self._considered), self._p, self._p + 1))
         if start is not None:
-            self._sums[:, :, -1] = np.linalg.solve(start.covariance, start.sensitivity).T
+            self._sums[0, :, :, -1] = np.linalg.solve(start.covariance, start.sensitivity).T
 
     def factors(self, signals: Signals, at: NDArray[np.intp], use: BoolArray, attached: BoolArray) -> FloatArray | None:
         """D of the rows in use (t, rows) at some ticks (t,), (r, k (p + 1)); None where nothing is considered.
@@ -305,15 +315,16 @@ class ConsideredErrors:
         rows[:, [names.index(f"zero_force_{'xyz'[axis]}") for axis in axes]] = D @ [*mean, 1.0]
         return rows
 
-    def at(self, rows: NoisyRows, mean: FloatArray) -> NoisyRows:
-        """Rows with their D, (r, k (p + 1)), with ``d y / d c`` at an estimate in its place, (r, k)."""
+    def at(self, rows: NoisyRows, held: BoolArray, mean: FloatArray) -> NoisyRows:
+        """Rows with their D, (r, k (p + 1)), with ``d y / d c`` at an estimate in its place, (r, k); ``held``: (r,)."""
         if rows.C is None:
             return rows
         D = rows.C.reshape(len(rows.y), len(self._considered), -1)
         if self._sums is not None:
             weighted = (rows.Y / (rows.sigma * rows.sigma)[:, None]).T  # (p, r)
-            added = (weighted @ rows.C).reshape(self._p, *D.shape[1:])  # (p, k, p + 1)
-            self._sums += added.transpose(1, 0, 2)
+            for part, mine in enumerate((~held, held)):
+                added = (weighted[:, mine] @ rows.C[mine]).reshape(self._p, *D.shape[1:])  # (p, k, p + 1)
+                self._sums[part] += added.transpose(1, 0, 2)
         return rows._replace(C=D @ [*mean, 1.0])
 
     def noise(
@@ -345,31 +356,39 @@ class ConsideredErrors:
                 made[:, own, k] = -slope[:, None] * effect[:, own]
         return made
 
-    def settled_s(self, seen: RowBlocks, mean: FloatArray) -> float:
-        """Since when the errors did to the rows what they do at an estimate, but for a tenth.
+    def settled_s(self, seen: RowBlocks, mean: FloatArray, *, suspected: bool = False) -> tuple[float, float]:
+        """Since when errors did to rows without the payload, and with it, what they do at an estimate, but for a tenth.
 
         Effects on parameters are added up in units of what the rows alone tell of each.
 
         Args:
             seen: the rows.
             mean: the estimate, (p,).
+            suspected: those of which no key says more count, too: as stated they are next to none.
         """
         estimates = seen.estimates
         if self._sums is None or not estimates:
-            return -np.inf
+            return -np.inf, -np.inf
         scale = 1.0 / np.sqrt(np.maximum(np.diag(seen.total())[:-2], np.finfo(np.float64).tiny))
-        sigma = np.array([cause.sigma for cause in self._considered])
-        sums = self._sums * (sigma[:, None, None] * scale[:, None])  # (k, p, p + 1)
-        now = float(np.linalg.norm(sums @ [*mean, 1.0]))
-        moved = np.array([one - mean for _, one in estimates])  # (e, p)
-        off = np.linalg.norm(np.einsum("kpq,eq->ekp", sums[..., :-1], moved), axis=(1, 2)) > (1.0 - MOST_SHARE) * now
-        settled = 1 + int(np.flatnonzero(off).max(initial=-1))
-        return estimates[settled][0] if settled < len(estimates) else np.inf
+        of_columns = [  # of friction none is used
+            cause.effect != "held_friction" and (suspected or not cause.key.endswith(OF_NO_KEY))
+            for cause in self._considered
+        ]
+        sigma = np.array([cause.sigma for cause in self._considered]) * of_columns
+        moved, since_s = np.array([one - mean for _, one in estimates]), [*(at_s for at_s, _ in estimates), np.inf]
+
+        def since(sums: FloatArray) -> float:
+            now = float(np.linalg.norm(sums @ [*mean, 1.0]))
+            off = np.linalg.norm(np.einsum("kpq,eq->ekp", sums[..., :-1], moved), axis=(1, 2))
+            return since_s[1 + int(np.flatnonzero(off > (1.0 - MOST_SHARE) * now).max(initial=-1))]
+
+        without, held = self._sums * (sigma[:, None, None] * scale[:, None])
+        return since(without), since(held)
 
     def restate(self, rls: SquareRootRls) -> None:
         """Give the recursion what the errors do to all of its rows at its estimate."""
         if self._sums is not None:
-            rls.consider(np.asarray((self._sums @ [*rls.solve().mean, 1.0]).T, np.float64))
+            rls.consider(np.asarray((self._sums.sum(axis=0) @ [*rls.solve().mean, 1.0]).T, np.float64))
 
     def regressors(self, each: Sequence[Signals], at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
         """Rows of some ticks, (s, t, rows, p + 1), for each of s signals; last what is known."""

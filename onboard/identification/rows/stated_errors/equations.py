@@ -3,8 +3,9 @@
 The state x has the errors of the prior, ``beta = beta_0 + G L z``, and errors c of instruments, each over its stated
 sigma. A row reads ``y = exp(g) Y_b beta_b + Y_i beta_i + C c``: g is the sum of the errors of gain that the file states
 of its instrument, and multiplies the base parameters of bodies, not those of instruments. (A column of readings would
-be of their noise, and shrink the gain.) Rows are linear about an estimate; columns C are those that the recursion
-considers. Of an error without a column, nothing is found.
+be of their noise, and shrink the gain.) What a joint's friction changes by between recordings multiplies it in rows
+with the payload. Rows are linear about an estimate; columns C are those that the recursion considers. Of an error
+without a column, nothing is found.
 
 Each instrument's noise is what the estimate leaves over of its rows, no less than their weights say. What is left is
 alike for seconds where the model is not the arm's: all information is divided by how much more the scores of blocks
@@ -46,7 +47,7 @@ class RowErrors(NamedTuple):
         sigma: of each error of an instrument, (e,).
         columns: its place among the errors that the recursion considers; -1 of one that has no column there, (e,).
         gains: which of them multiply what each instrument should read, (e, instruments).
-        bodies: which base parameters these multiply, (p,).
+        multiplied: which base parameters each of these multiplies, (e, p), or all of them, (p,).
         held: which gains are of rows with the payload alone.
     """
 
@@ -55,7 +56,7 @@ class RowErrors(NamedTuple):
     sigma: FloatArray
     columns: Sequence[int]
     gains: BoolArray
-    bodies: BoolArray
+    multiplied: BoolArray
     held: Sequence[int] = ()
 
     @property
@@ -86,7 +87,8 @@ class Information(NamedTuple):
 
     def known(self, colour: float = 1.0) -> Known:
         """Mean and covariance of the state with all as stated, its information divided by a colour."""
-        P = np.linalg.inv(np.eye(len(self.r)) + self.A / colour)
+        values, V = eigen(self.A)  # an inverse is rounded to what is known best
+        P = V / (1.0 + np.maximum(values, 0.0) / colour) @ V.T
         moved = NOISE_SIGMA / colour * P @ self.doubt
         return P @ self.r / colour, P + np.outer(moved, moved)
 
@@ -95,7 +97,8 @@ class Information(NamedTuple):
 
         Of the sandwich ``P sum_b s_b s_b' P`` (Huber, 1967) what is more than ``P A P``.
         """
-        root = np.linalg.cholesky(P)
+        own, U = eigen(P)  # of what is known exactly, zero but for rounding
+        root = U * np.sqrt(np.maximum(own, 0.0))
         values, V = eigen(root.T @ (self.scores.T @ self.scores - self.A) @ root)
         half = root @ V * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(half @ half.T, np.float64)
@@ -108,16 +111,18 @@ class ErrorEquations:
         seen: the rows.
         errors: that they may tell.
         correlation: how many neighbouring rows say the same thing.
-        since_s: blocks that begin earlier are left out.
+        since_s: blocks of rows without the payload, and with it, that begin earlier are left out.
 
     Attributes:
         share: of the rows, that are taken in.
         least_share: the same of rows with the payload or of those without, whichever is the smaller.
     """
 
-    def __init__(self, seen: RowBlocks, errors: RowErrors, correlation: float, since_s: float = -np.inf) -> None:
+    def __init__(
+        self, seen: RowBlocks, errors: RowErrors, correlation: float, since_s: tuple[float, float] = (-np.inf, -np.inf)
+    ) -> None:
         self._correlation, self._gains, self._common = correlation, errors.gains, errors.common
-        self._bodies = np.flatnonzero(errors.bodies)
+        self._multiplied = np.broadcast_to(errors.multiplied, (len(errors.sigma), len(errors.centre)))
         self._of_all = ~np.isin(np.arange(len(errors.sigma)), errors.held)
         p = len(errors.centre)
         self._p, self._drawn = p, np.append(errors.centre, np.zeros(len(errors.sigma)))
@@ -129,7 +134,7 @@ class ErrorEquations:
         for part in seen.parts:
             blocks, noise = seen.with_errors(*part)
             times_s = seen.times_s(*part)
-            late = times_s >= since_s
+            late = times_s >= since_s[part[0]]
             count = blocks[:, -1, -1]
             rows[int(part[0])] += count.sum(), count[late].sum()
             if late.any():
@@ -198,19 +203,17 @@ class ErrorEquations:
     def _linear(self, part: _Part, X: FloatArray, scaled: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """What multiplies ``[beta, c]``, (p + k + 2, p + e), and what X leaves over, of ``[Y, C, y, 1]``."""
         p, mine = self._p, np.flatnonzero(self._gains[:, part.instrument] & (self._of_all | part.held))
-        bodies, gain = self._bodies, float(X[p + mine].sum())
-        if not abs(gain) < _MOST:
+        logs = X[p + mine] @ self._multiplied[mine]
+        if not np.abs(logs).max(initial=0.0) < _MOST:
             raise np.linalg.LinAlgError("the estimate has gone where no gain is")
-        factor = np.exp(gain)
+        factor = np.exp(logs)
         J = np.zeros((len(self._columns), len(X)))
         J[:, p:] = self._columns
-        np.fill_diagonal(J[:p, :p], 1.0)
-        J[bodies, bodies] = factor
-        J[bodies[:, None], p + mine] = factor * X[bodies, None]
+        np.fill_diagonal(J[:p, :p], factor)
+        J[:p, p + mine] = (self._multiplied[mine] * (factor * X[:p])).T
         v = self._columns @ X[p:]
-        v[:p] += X[:p]
-        v[bodies] += (factor - 1.0) * X[bodies]
+        v[:p] += factor * X[:p]
         v[-2] = -1.0
         if scaled is not None:
-            J[bodies[:, None], p + self._common] = factor * scaled[bodies, None]
+            J[:p, p + self._common] = (self._multiplied[self._common] * (factor * scaled)).T
         return J, v

@@ -26,10 +26,10 @@ for: the evidence of each hypothesis has Student's density of its errors in plac
 
 Errors of instruments are estimated beside the parameters here
 (:mod:`onboard.identification.rows.stated_errors.equations`), so that what an encoder does to the rows is not given to a
-gain. Of recordings that contradict nothing that is the answer: two motors that read one payload tell by how much their
-gains differ, and rows with the payload whether they have changed since those without. Else the recursion's is, which
-considers errors of the sizes found here. Delays are as stated: what they do to rows is made of derivatives, whose noise
-is not that of the rows.
+gain. Of a base that stands, where nothing is contradicted, that is the answer: two motors that read one payload tell by
+how much their gains differ, and rows with the payload whether they have changed since those without. Else the
+recursion's is, which considers errors of the sizes found here, and changes of friction of the sizes that the rows tell.
+Delays are as stated: what they do to rows is made of derivatives, whose noise is not that of the rows.
 
 The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
 do where scales of cells are estimated by them.
@@ -49,7 +49,7 @@ from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.quantities import Causes
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.all_rows import as_stated
-from onboard.identification.rows.stated_errors.considered import OF_GAIN, Considered
+from onboard.identification.rows.stated_errors.considered import HELD, OF_GAIN, Considered
 from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 
@@ -131,9 +131,11 @@ class StatedSigmas:
         causes = [considered[k] for k in self._causes]
         half = base.grouping @ stated.prior_root
         self._active = np.flatnonzero(half.any(axis=0))
-        held = [k for k, one in enumerate(causes) if one.effect == "held_scale"]
-        is_gain = np.array([one.effect in OF_GAIN for one in causes], np.bool_)
-        of_all = np.array([one.is_common for one in causes], np.bool_)
+        held = [k for k, one in enumerate(causes) if one.effect in HELD]
+        is_gain = np.array([one.effect in (*OF_GAIN, *HELD) for one in causes], np.bool_)
+        of_friction = np.array([one.effect == "held_friction" for one in causes], np.bool_)
+        own = np.array([one.axis for one in causes])[:, None] == np.arange(len(base.names))
+        of_all = of_friction | np.array([one.is_common for one in causes], np.bool_)
         reads = np.array([one.row == name for one in causes for name in instruments], np.bool_)
         self._base, self._gains = base, np.setdiff1d(np.flatnonzero(is_gain), held)
         self._errors = RowErrors(
@@ -142,7 +144,7 @@ class StatedSigmas:
             np.array([one.sigma for one in causes]),
             np.where(is_gain, -1, self._causes).astype(int).tolist(),
             is_gain[:, None] & (reads.reshape(len(causes), len(instruments)) | of_all[:, None]),
-            base.of_bodies,
+            np.where(of_friction[:, None], own, base.of_bodies),
             held,
         )
         kinds_of = [Stated(one.key or one.name, _GAIN if one.effect == "scale" else one.effect) for one in causes]
@@ -150,15 +152,18 @@ class StatedSigmas:
         every = [*(columns[k] for k in self._active.tolist()), *kinds_of]
         self.stated = tuple(dict.fromkeys(every))
         self._key: IndexArray = np.array([self.stated.index(one) for one in every], np.intp)
+        self._of_friction = np.array([one.kind == "held_friction" for one in self.stated], np.bool_)
         kinds = list(dict.fromkeys(one.kind for one in self.stated))
         self._kind: IndexArray = np.array([kinds.index(one.kind) for one in self.stated], np.intp)
         self._many = np.bincount(self._key).astype(np.float64)  # errors of each key
-        own = self._key[len(self._active) :]
-        self._common = np.isin(np.arange(len(self.stated)), own[of_all])
+        of_causes = self._key[len(self._active) :]
+        self._common = np.isin(np.arange(len(self.stated)), of_causes[of_all])
         as_stated = [one.effect.endswith("delay") for one in causes]
-        self._free = ~self._common & ~np.isin(np.arange(len(self.stated)), own[as_stated])
+        self._free = ~self._common & ~np.isin(np.arange(len(self.stated)), of_causes[as_stated])
 
-    def taken(self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float, since_s: float) -> Taken:
+    def taken(
+        self, stated: Taken, blocks: RowBlocks, mean: FloatArray, correlation: float, since_s: tuple[float, float]
+    ) -> Taken:
         """What is taken for granted after the rows.
 
         Args:
@@ -166,8 +171,8 @@ class StatedSigmas:
             blocks: the rows.
             mean: the estimate by what is stated, (p,).
             correlation: how many neighbouring rows say the same thing: the square of the sigmas' inflation.
-            since_s: when errors began to do to rows what they do at the estimate. Where that is not so for most rows,
-                gains are all that is looked at of instruments.
+            since_s: when errors began to do to rows without the payload, and with it, what they do at the estimate.
+                Where that is not so for most rows, gains are all that is looked at of instruments.
         """
         rows = ErrorEquations(blocks, self._errors, correlation, since_s)
         of_both = rows.least_share >= MOSTLY
@@ -175,7 +180,7 @@ class StatedSigmas:
             rows = ErrorEquations(blocks, self._errors._replace(columns=[-1] * len(self._causes)), correlation)
         X, active = np.append(mean, np.zeros(len(self._causes))), len(self._active)
         n = len(self.stated)
-        as_it_is = _Widths(np.ones(n), np.zeros(len(self._key)), np.zeros(n))
+        as_it_is = _Widths(np.ones(n), np.zeros(len(self._key)), np.zeros(n), np.ones(n))
         many = as_it_is
         for _ in range(ROUNDS):
             A, r = self._information(rows, X, many.width)
@@ -193,7 +198,7 @@ class StatedSigmas:
             return stated._replace(answer=self._answer(rows, many.errors)) if estimates else stated
         width = one.width if of_one - of_many > least else many.width
         said = self._contradicted(A, r, many) if width is many.width else ()
-        factors = width[self._key]
+        factors = np.where(self._of_friction, np.sqrt(many.square), width)[self._key]
         considered, root = stated.considered.copy(), stated.prior_root.copy()
         root[:, self._active] *= factors[:active]
         considered[self._causes] *= factors[active:]
@@ -221,10 +226,9 @@ class StatedSigmas:
 
         About an estimate that is far from the drawing, a factor would leave the bodies nothing.
         """
-        X, bodies = X.copy(), np.flatnonzero(self._errors.bodies)
-        common = len(self._errors.centre) + self._errors.common
-        X[bodies] *= np.exp(X[common].sum())
-        X[common] = 0.0
+        X, p, common = X.copy(), len(self._errors.centre), self._errors.common
+        X[:p] *= np.exp(X[p + common] @ self._errors.multiplied[common])
+        X[p + common] = 0.0
         return self._information(rows, X, width, self._errors.centre)
 
     def _information(
@@ -243,7 +247,7 @@ class StatedSigmas:
             w = width[self._key]
             C = np.linalg.inv(one + A * (w[:, None] * w))
             z = w * (C @ (w * r))
-            E = np.bincount(self._key, z * z + w * w * np.diag(C))
+            E = np.bincount(self._key, z * z + w * w * np.maximum(np.diag(C), 0.0))
             weight = (FREEDOM + self._many) / (FREEDOM + E / square[self._kind])
             square = np.maximum(1.0, (FREEDOM + np.bincount(self._kind, weight * E)) / (FREEDOM + every))
             made = np.where(free, np.maximum(1.0, np.sqrt(square[self._kind] / weight)), width)
@@ -251,7 +255,7 @@ class StatedSigmas:
             if change < _SETTLED:
                 break
         paid = _students(E / square[self._kind], self._many) - _normal(E / width**2, self._many, weight)
-        return _Widths(width, z, np.where(free, paid, 0.0))
+        return _Widths(width, z, np.where(free, paid, 0.0), E.astype(np.float64))
 
     def _contradicted(self, A: FloatArray, r: FloatArray, wide: "_Widths") -> tuple[str, ...]:
         """Words for each kind of which it is likelier that it is so wide than that it is as stated."""
@@ -288,6 +292,7 @@ class _Widths(NamedTuple):
     width: FloatArray  # (keys,) of each, in stated sigmas
     errors: FloatArray  # with these, in stated sigmas
     paid: FloatArray  # (keys,) log of Student's density of the errors over the normal one of these widths
+    square: FloatArray  # (keys,) expected sum of squares of the errors
 
 
 def _students(square: FloatArray, many: FloatArray) -> FloatArray:

@@ -143,7 +143,16 @@ def test_errors_of_an_estimate_that_has_moved_since_are_not_settled():
     settled = [(0.0, 0.0 * mean), (2.0, 0.85 * mean), (4.0, 0.97 * mean), (6.0, mean)]
     for estimates, since_s in ((settled, 4.0), (settled[2:], 4.0), (settled[:2], np.inf), ([], -np.inf)):
         who.seen.estimates[:] = estimates
-        assert who.errors.settled_s(who.seen, mean) == since_s
+        assert who.errors.settled_s(who.seen, mean) == (since_s, since_s)
+
+
+def test_rows_of_the_empty_arm_settle_before_the_payload_does():
+    """They were left out until the payload was known: the arm that carries it was then as stated, and no more."""
+    who = fed()
+    mean = who.rls.solve().mean
+    unknown = np.where([name.endswith("_tool") for name in who.base.names], 0.0, mean)
+    who.seen.estimates[:] = [(0.0, unknown), (3.0, unknown), (4.0, mean)]
+    assert who.errors.settled_s(who.seen, mean) == (0.0, 4.0)
 
 
 def test_a_cyclic_error_does_to_rows_what_its_column_says(rng):

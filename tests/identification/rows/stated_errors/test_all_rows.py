@@ -38,7 +38,7 @@ def equations(seen, *more, since_s=-np.inf):
     sigma, columns = np.array([*np.full(3, STATED), *more]), [*np.full(3, -1), *range(len(more))]
     gains = np.eye(len(sigma), 3, dtype=np.bool_)
     errors = RowErrors(PRIOR * np.eye(P), np.zeros(P), sigma, columns, gains, np.ones(P, np.bool_))
-    return ErrorEquations(seen, errors, 1.0, since_s)
+    return ErrorEquations(seen, errors, 1.0, (since_s, since_s))
 
 
 def asked(seen):

@@ -29,10 +29,12 @@ def taken(
     held_s=0.0,
     estimates=False,
     since_s=-np.inf,
+    warmed=1.0,
 ) -> tuple[Taken, Taken]:
     """What is taken for granted before and after 40 s of rows of two cells; ``told``: share of the last parameter.
 
-    From ``held_s`` on the payload is held, whose only parameter is the last one; the last cell then reads 2 % more.
+    From ``held_s`` on the payload is held, whose only parameter is the last one; the last cell then reads 2 % more, and
+    the first parameter is ``warmed`` times as large.
     """
     n = len(truth)
     base = BaseParameters(tuple("abcdef"[:n]), np.arange(n), np.eye(n), tuple("abcdef"[:n]))
@@ -45,7 +47,9 @@ def taken(
         held = times >= held_s
         Y[~held, -1] = 0.0
         more = np.where(held & (number == len(gains) - 1) & (held_s > 0.0), 1.02, 1.0)
-        y = gain * more * (Y @ truth) + (NOISE * rng.normal(size=1000) if noise is None else noise(times, Y))
+        y = gain * more * (Y @ truth + held * (warmed - 1.0) * Y[:, 0] * truth[0]) + (
+            NOISE * rng.normal(size=1000) if noise is None else noise(times, Y)
+        )
         each = np.full(1000, NOISE)
         C = np.zeros((1000, len(considered)))
         if considered:
@@ -55,7 +59,7 @@ def taken(
         rls.update(Y, y, each, C if considered else None)
         blocks.add(times, held, np.full(1000, number), Y, y, each, each, None)
     sigmas = StatedSigmas(COLUMNS[:n], considered, CELLS, base, stated, estimates=estimates)
-    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, since_s)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, (since_s, since_s))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -147,7 +151,7 @@ def of_an_encoder(rng, since_s):
         rls.update(Y, y, each, C)
         blocks.add(times, np.ones(1000, np.bool_), np.full(1000, number), Y, y, each, each, None, C)
     sigmas = StatedSigmas(COLUMNS[:2], considered, CELLS, base, stated)
-    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, since_s)
+    return stated, sigmas.taken(stated, blocks, rls.solve().mean, 1.0, (since_s, since_s))
 
 
 def test_what_an_angle_does_is_not_given_to_gains(rng):
@@ -193,6 +197,18 @@ def test_a_gain_that_changes_between_recordings_is_one_of_the_rows_with_the_payl
     assert effects[CHANGED.key] < 0.1 * effects["prior.link.upper"]  # the arm, which is known, tells it
 
 
+def test_friction_that_changes_between_recordings_is_of_the_rows_with_the_payload(rng):
+    """What it multiplies is 1.4 times as large there: 1.68 stated sigmas of its logarithm."""
+    warmed = Considered("Fv with the payload", "", "held_friction", 0.2, "Fv between recordings", 0)
+    known = {"considered": (warmed, *SCALES), "sigma": LIGHT, "held_s": 20.0, "estimates": True, "warmed": 1.4}
+    _, made = taken(rng, np.array([1.0, 1.4]), **known)
+    assert made.answer is not None, made.said
+    mean, P = made.answer.known.known
+    assert abs(mean[1] - 1.4) < 2.0 * P[1, 1] ** 0.5 < 0.1
+    _, found = taken(rng, np.array([1.0, 1.4]), **{**known, "warmed": 2.5})
+    assert any(said.startswith("the rows contradict Fv between recordings: taken ") for said in found.said)
+
+
 def test_the_answer_is_as_wide_as_blocks_of_time_scatter(rng):
     """What each second leaves is alike, and forty times what the noise of its rows makes of their mean."""
     z = []
@@ -220,3 +236,13 @@ def test_without_rows_of_the_empty_arm_nothing_is_estimated(rng):
 
 def test_what_is_contradicted_is_not_estimated_but_considered_wider(rng):
     assert taken(rng, np.ones(2), (1.05, 0.95), considered=SCALES, sigma=1.0, estimates=True)[1].answer is None
+
+
+@pytest.mark.parametrize("warmed", [1.0, 1.4])
+def test_friction_is_considered_as_large_as_its_change_where_something_else_is_contradicted(rng, warmed):
+    """20 % of it, of which the rows tell one, took more of an answer than the gains that are contradicted."""
+    change = Considered("Fv with the payload", "", "held_friction", 0.2, "Fv between recordings", 0)
+    known = {"considered": (change, *SCALES), "sigma": 1.0, "held_s": 20.0, "warmed": warmed}
+    _, found = taken(rng, np.ones(2), (1.05, 0.95), **known)
+    assert "scale_sigma: taken" in found.said[0]
+    assert found.considered[0] == pytest.approx(np.log(warmed), abs=0.05)
