@@ -17,7 +17,7 @@ from onboard.estimation.policy import LIKELY_SIZE, ODDS, ODDS_OF_PART, LIKELY_DE
 from onboard.identification.evidence.bank import Bank, Suspect, Weighed
 from onboard.identification.evidence.bodies import ways
 from onboard.identification.rows.checks.remade import OF_MOTION, OF_READING, STEPS
-from onboard.identification.rows.stated_errors.considered import OF_NO_KEY, Considered, Effect
+from onboard.identification.rows.stated_errors.considered import Considered, Effect
 from onboard.identification.rows.stated_errors.equations import RowErrors
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
@@ -66,7 +66,15 @@ def of_no_key(considered: Sequence[Considered], model: RowModel) -> list[Conside
     if not any(one.effect == _TURNS for one in considered):
         asked += [(model.vehicle.spec.base_link, _TURNS, "level", LIKELY_SIZE, axis) for axis in range(3)]
     return [
-        Considered(f"{what} of {row}", row, effect, _UNSTATED * size, f"{what} of {row}{OF_NO_KEY}", axis)
+        Considered(
+            f"{what} of {row}",
+            row,
+            effect,
+            _UNSTATED * size,
+            f"{what} of {row}, of which no key says more",
+            axis,
+            is_stated=False,
+        )
         for row, effect, what, size, axis in asked
     ]
 

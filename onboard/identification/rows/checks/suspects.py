@@ -12,7 +12,8 @@ stated. Equations are, where scales are stated, the sums over all rows
 (:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these are beyond linear where angles are likelier
 wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where scales are estimated, where rows contradict each
 other, or where that leaves more over than is doubted of noise, they are rows of kept ticks that are made again
-(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses.
+(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses; so they are where nothing
+is likelier wrong by the sums, for errors that these do not have: delays, steps, mounts.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
 more than are correlated. Outliers have Huber's weights.

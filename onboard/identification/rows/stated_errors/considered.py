@@ -48,9 +48,6 @@ _STEP = 1e-3  # relative, rad, rad/s or m/s^2: rows are quadratic in the rates a
 _STEP_S = 1e-4  # of a delay
 
 
-OF_NO_KEY = ", of which no key says more"
-
-
 class Considered(NamedTuple):
     """An error common to all readings of one instrument, with a known sigma.
 
@@ -65,6 +62,7 @@ class Considered(NamedTuple):
     key: str = ""  # of vehicle.toml that states it: ``load_cell scale_sigma``
     axis: int | None = None  # of the IMU: the one scaled, biased or turned about; a scale common to all where not given
     periods: float = 1.0  # of a cyclic error, in a turn
+    is_stated: bool = True  # else no key says anything of it: next to none, unless the rows contradict that
 
     @property
     def is_common(self) -> bool:
@@ -364,15 +362,14 @@ class ConsideredErrors:
         Args:
             seen: the rows.
             mean: the estimate, (p,).
-            suspected: those of which no key says more count, too: as stated they are next to none.
+            suspected: those that are not stated count, too: as stated they are next to none.
         """
         estimates = seen.estimates
         if self._sums is None or not estimates:
             return -np.inf, -np.inf
         scale = 1.0 / np.sqrt(np.maximum(np.diag(seen.total())[:-2], np.finfo(np.float64).tiny))
         of_columns = [  # of friction none is used
-            cause.effect != "held_friction" and (suspected or not cause.key.endswith(OF_NO_KEY))
-            for cause in self._considered
+            cause.effect != "held_friction" and (suspected or cause.is_stated) for cause in self._considered
         ]
         sigma = np.array([cause.sigma for cause in self._considered]) * of_columns
         moved, since_s = np.array([one - mean for _, one in estimates]), [*(at_s for at_s, _ in estimates), np.inf]
