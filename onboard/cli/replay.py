@@ -1,6 +1,9 @@
 """``heft replay`` recomputes the estimates from a log and compares them with those of the flight."""
 
 import argparse
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 from onboard.cli.common import DAMAGED, FAILED, OK, Commands, add_json, progress, show, warn, write_json
@@ -24,8 +27,12 @@ def add(commands: Commands) -> None:
 def _replay(arguments: argparse.Namespace) -> int:
     if arguments.settings is not None:
         return _reestimate(arguments)
+    from onboard.ground.identify.replay.kernels import kernels_needed
     from onboard.ground.identify.replay.replay import replay
+    from onboard.recording.reader import LogReader
 
+    if (needed := kernels_needed(LogReader(arguments.log))) is not None:
+        return _replay_with(needed, arguments)
     with progress() as bar:
         result = replay(arguments.log, bar)
     print(result.summary)
@@ -34,6 +41,14 @@ def _replay(arguments: argparse.Namespace) -> int:
     if not result.agrees:
         return FAILED
     return DAMAGED if result.damage else OK
+
+
+def _replay_with(kernels: str, arguments: argparse.Namespace) -> int:
+    """Replay in a process that loads these kernels of OpenBLAS, which this one cannot any more."""
+    command = [sys.executable, "-m", "onboard.cli", "replay", str(arguments.log)]
+    if arguments.json is not None:
+        command += ["--json", str(arguments.json) if isinstance(arguments.json, Path) else "-"]
+    return subprocess.run(command, env=os.environ | {"OPENBLAS_CORETYPE": kernels}, check=False).returncode
 
 
 def _reestimate(arguments: argparse.Namespace) -> int:

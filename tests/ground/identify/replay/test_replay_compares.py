@@ -1,12 +1,14 @@
 """The comparison of a replay: many steps at a time give the verdict of one at a time."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 from drivers import records
 from onboard.channels import QUANTITY
 from onboard.flight.store.flight_log import computed_on
-from onboard.ground.identify.replay import comparison
+from onboard.ground.identify.replay import comparison, kernels
 from onboard.ground.identify.replay.comparison import Comparison
 from onboard.ground.identify.replay.replay import elsewhere, judged
 
@@ -122,3 +124,33 @@ def test_rounding_is_allowed_for_where_the_log_was_computed_elsewhere_and_only_t
     assert "1e-10 sigmas apart" in said
     assert "quantity differs from row 1: 3 recorded, 3 replayed" in replayed_answers(5.1, there).summary
     assert "blas_kernels: the log does not say" in elsewhere({"flight": {}, "versions": {}})
+
+
+class Log(NamedTuple):
+    metadata: dict[str, dict[str, str]]
+
+
+@pytest.mark.parametrize(
+    ("flown_with", "found", "chosen", "needed"),
+    [
+        ("Sandybridge", ["X86_V3"], "", "Sandybridge"),
+        ("Nehalem", [], "Haswell", "Nehalem"),
+        ("SkylakeX", ["X86_V3"], "", None),  # this processor cannot
+        ("SkylakeX", ["X86_V3", "X86_V4"], "SkylakeX", None),  # chosen in vain: not once more
+        ("Haswell, Nehalem", ["X86_V3"], "", None),  # of two libraries
+        ("neoversen1", ["NEON"], "", None),
+        ("", ["X86_V3"], "", None),  # a log that does not say
+    ],
+)
+def test_the_kernels_of_a_flight_are_needed_where_this_processor_has_them(
+    flown_with: str, found: list[str], chosen: str, needed: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    level = {"SIMD Extensions": {"baseline": ["X86_V2"], "found": found}}
+    monkeypatch.setattr(kernels.np, "show_config", lambda mode: level)
+    monkeypatch.setattr(kernels, "blas_kernels", lambda: "another")
+    monkeypatch.setenv("OPENBLAS_CORETYPE", chosen)
+    assert kernels.kernels_needed(Log({"flight": {"blas_kernels": flown_with}})) == needed
+
+
+def test_no_other_kernels_are_needed_where_these_are_those_of_the_flight() -> None:
+    assert kernels.kernels_needed(Log({"flight": {"blas_kernels": computed_on()["blas_kernels"]}})) is None
