@@ -84,6 +84,15 @@ def test_a_planar_arm_without_a_load_cell(tmp_path):
     assert not any("converge" in row["standing"] for row in rows.values())
 
 
+def test_a_light_robot_on_a_table(tmp_path):
+    """Which its arm turns about: from none of the guesses does a fit of all its unknowns lead to the minimum."""
+    result, code = rehearsed(tmp_path, ["--base", "planar", "--joints", "2"], seed=3)
+    rows = answers(result)
+    assert code == 0
+    honest(rows)
+    assert rows["m_payload"]["supported"]
+
+
 BENCH = """
 [[sequence]]
 phase = 0

@@ -8,9 +8,8 @@ Known limit: an accelerometer does not sense gravity along the table; the tilt i
 and weakly.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +43,7 @@ from onboard.identification.table.floating_base import (
 
 _ROUGHLY = 100.0  # tolerance of the sum in a search, before drags are free
 _SEARCH_PERIOD_s = 0.02  # between ticks
-_ROUNDINGS_m_s = ((0.1, 0.03, 0.01, 0.003), (0.01, 0.003), (0.003,))  # of Coulomb drag, by stage, of each search
+_OF_LOGARITHM = 1.0  # sigma of a mass's or a drag's about where a search begins
 _FINISHED = 2  # results of searches, the likeliest
 _MOST_TICKS = 1_000_000  # predicted in all searches of a run, 30 s of CPU time; the bed of seed 91003 takes 454,449
 _BODIES = GUESSES[1], GUESSES[0], GUESSES[2]  # light ones first: they are predicted by the bare vehicle's motion
@@ -54,15 +53,13 @@ DRAGS = ((1.0 / 60.0, 1.5e-3), (1.0 / 25.0, 4e-3))  # of all pucks, in the bare 
 class TableFit(MotionFit):
     """The fit of a run on the table.
 
-    Velocity at the start, tilt and Coulomb drag have many minima between them, since Coulomb drag turns about where a
-    puck hardly slips; a run that begins at rest shows nothing of the payload in its first seconds. Where the fit of
-    growing parts fails, or the pucks together or one of them would push, minima are searched for at coarser ticks and
-    in few steps.
-    A search begins with one of two drags, which is held until there is a payload, and with Coulomb drag rounded below
-    some slip, where it is nearly linear, then less and less (a continuation). The searches end where the likeliest
-    minimum explains the run and was reached from both drags. All ticks are fitted from the likeliest
-    two, and the likeliest of all results is kept. Where an instrument is wrong nothing explains the run: searches are
-    bounded, and results far from an answer are not fitted to all ticks.
+    Velocity at the start, tilt and drag have many minima between them, since a puck that pushes speeds up without end,
+    and Coulomb drag turns about where a puck hardly slips; a run that begins at rest shows nothing of the payload in
+    its first seconds. Where the fit of growing parts fails, or the pucks together or one of them would push, minima are
+    searched for at coarser ticks and in few steps, by growing parts from several payloads and drags that stay positive.
+    The searches end where the likeliest minimum explains the run and was reached twice. All ticks are fitted from the
+    likeliest two, and the likeliest of all results is kept. Where an instrument is wrong nothing explains the run:
+    searches are bounded, and results far from an answer are not fitted to all ticks.
 
     Arguments and errors are those of :class:`AirBearingBase` and :class:`MotionFit`; ``likely``: the payload at which
     the noise of the joints is weighed; None: the first guess.
@@ -181,43 +178,30 @@ class TableFit(MotionFit):
         Raises:
             ConvergenceError: all results are far from an answer.
         """
-        base, mass = self._base, self.layout.estimated("payload")[0]
+        base = self._base
         coarse = self.of(base.coarser(max(1, round(_SEARCH_PERIOD_s / base.signals.period_s))))
         work, rows = Work(_MOST_TICKS), 6 * int(coarse.valid.sum())
         found = list[Searched]()
         for guess in _BODIES:
-            of_drag: dict[tuple[float, float], float] = {}  # the least squares that searches from it came to
-            for roundings_m_s, drags in product(_ROUNDINGS_m_s, DRAGS):
+            for drags in DRAGS:
                 with suppress(EstimationError):
-                    one = coarse._continued(guess, roundings_m_s, drags, work)
-                    if one.x[mass] > 0.0:
-                        found.append(one)
-                        of_drag[drags] = min(one.squares, of_drag.get(drags, np.inf))
-                least, most = min(of_drag.values(), default=0.0), max(of_drag.values(), default=0.0)
-                if len(of_drag) == len(DRAGS) and most - least < NEAR_MINIMUM and least < MISFIT_DOUBTED * rows:
-                    break
-            if found:
+                    found.append(coarse.grown(guess, drags, work))
+            found.sort(key=lambda one: one.squares)
+            squares = [one.squares for one in found[:_FINISHED]]
+            if len(squares) > 1 and np.ptp(squares) < NEAR_MINIMUM and squares[0] < MISFIT_DOUBTED * rows:
                 break
-        found = sorted(found, key=lambda one: one.squares)[:_FINISHED]
-        near = [one.x for one in found if one.squares < MISFIT_PART * rows]
+        near = [one.x for one in found[:_FINISHED] if one.squares < MISFIT_PART * rows]
         if found and not near:
             times = np.sqrt(found[0].squares / rows)
             raise ConvergenceError(f"IMU and joints contradict each other: {times:.1f} times the noise is left")
         return near
 
-    def _continued(
-        self, guess: RigidBody, roundings_m_s: Sequence[float], drags: tuple[float, float], work: "Work"
-    ) -> "Searched":
-        """From a payload and drags that are held at first, Coulomb drag rounded less and less."""
-        payload, drag = self.layout.estimated("payload"), self.layout.estimated("drag")
-        n, both, none = len(self.valid), np.concatenate([payload, drag]), drag[:0]
-        x = self.start(guess)
-        x[drag] = self._drag(*drags)
-        rounded = self.of(self._base.rounded(roundings_m_s[0]))
-        for held, ticks in ((both, n // 3), (drag, n // 3), (drag, 2 * n // 3), (drag, n)):
-            x = rounded.held(x, held, _ROUGHLY, ticks, work).x
-        for rounding_m_s in roundings_m_s:
-            x = self.of(self._base.rounded(rounding_m_s)).held(x, none, NEAR_MINIMUM, n, work).x
+    def grown(self, guess: RigidBody, drags: tuple[float, float], work: "Work") -> "Searched":
+        """The minimum near a payload and drags, by a third of the ticks, two, and all of them."""
+        x, n, none = self.start(guess), len(self.valid), np.zeros(0, np.intp)
+        x[self.layout.estimated("drag")] = self._drag(*drags)
+        for ticks in (n // 3, 2 * n // 3):
+            x = self.held(x, none, _ROUGHLY, ticks, work).x
         return self.held(x, none, NEAR_MINIMUM, n, work)
 
     def _drag(self, viscous_1_s: float, coulomb_m_s2: float) -> FloatArray:
@@ -227,21 +211,33 @@ class TableFit(MotionFit):
         return np.tile([viscous_1_s * mass_kg / pucks, coulomb_m_s2 * mass_kg / pucks], pucks)
 
     def held(self, x: FloatArray, held: IndexArray, tolerance: float, ticks: int, work: "Work") -> "Searched":
-        """The best in a few steps, for the first ticks, with some unknowns kept as they are."""
+        """The best in a few steps, for the first ticks, with some unknowns kept as they are.
+
+        Mass and drags that are not kept are positive, and stay so: the steps are of their logarithms.
+        """
         free = np.setdiff1d(np.arange(x.size), held)
-        tried, prior = x.copy(), self.prior_information[np.ix_(free, free)]
-        descent = Descent(x[free], np.zeros(free.size), prior, ITERATIONS, tolerance)
+        positive = np.isin(free, [self.layout.estimated("payload")[0], *self.layout.estimated("drag")])
+        tried, prior, mean = x.copy(), self.prior_information[np.ix_(free, free)], x[free]
+        own, prior = np.diag(prior) * positive, np.where(np.add.outer(positive, positive), 0.0, prior)
+        prior[positive, positive] = 1.0 / _OF_LOGARITHM**2
+        mean[positive] = np.log(mean[positive])
+        descent = Descent(mean, mean * positive, prior, ITERATIONS, tolerance)
         for _ in range(ITERATIONS):
-            tried[free] = descent.at
             work.spend(ticks)
             with np.errstate(over="ignore", invalid="ignore"):
+                tried[free] = np.where(positive, np.exp(descent.at), descent.at)
+                by = np.where(positive, tried[free], 1.0)
                 r, J = self.residuals(tried, ticks)
-                predicted = Normal.of(r, J[:, free])
+                stated = Normal(np.diag(own * by * by), own * by * by, float(own @ (by * by)))
+                predicted = Normal.of(r, J[:, free] * by).plus(stated)
+                if not np.isfinite(predicted.information).all():  # it gains speed without end: a step too long
+                    predicted = predicted._replace(squares=np.inf)
             descent.take(predicted)
             if descent.found is not None:
                 break
+        best = descent.best if descent.found is None else descent.found.x
         whole = x.copy()
-        whole[free] = descent.best if descent.found is None else descent.found.x
+        whole[free] = np.where(positive, np.exp(best), best)
         return Searched(whole, descent.squares)
 
 

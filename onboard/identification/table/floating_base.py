@@ -4,12 +4,11 @@ Drag depends on velocity, which is not measured but predicted (:mod:`onboard.dyn
 """
 
 from collections.abc import Mapping
-from copy import copy
 from typing import NamedTuple
 
 import numpy as np
 
-from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, ROUNDING_m_s, predict_run
+from onboard.dynamics.air_bearing import SAGS, PlanarDrag, PlanarRun, predict_run
 from onboard.dynamics.free_flight import BasePrediction
 from onboard.dynamics.joint_errors import EncoderReadings
 from onboard.dynamics.model.bases import BaseKind
@@ -67,7 +66,6 @@ class AirBearingBase:
     def __init__(
         self, vehicle: VehicleModel, signals: FlightSignals, prior: AirBearingPrior, offsets: FloatArray | None = None
     ) -> None:
-        self.rounding_m_s = ROUNDING_m_s
         if vehicle.spec.base is not BaseKind.PLANAR:
             raise SignalError(f"the base is {vehicle.spec.base}; one on an air-bearing table is needed")
         self.vehicle, self.signals, self.prior = vehicle, checked(signals), prior
@@ -91,7 +89,7 @@ class AirBearingBase:
     ) -> BasePrediction:
         """See :func:`onboard.dynamics.air_bearing.predict_run`."""
         viscous, coulomb = others["drag"].reshape(-1, 2).T
-        drag = PlanarDrag(self._pucks, viscous, coulomb, self.rounding_m_s, tuple(others["sag"].tolist()))
+        drag = PlanarDrag(self._pucks, viscous, coulomb, sag=tuple(others["sag"].tolist()))
         return predict_run(self._run, start, chi, drag, others["tilt"], links, ticks).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:
@@ -100,12 +98,6 @@ class AirBearingBase:
     def coarser(self, ticks: int) -> "AirBearingBase":
         """The same run by means of so many ticks."""
         return AirBearingBase(self.vehicle, self.signals.coarser(ticks), self.prior)
-
-    def rounded(self, rounding_m_s: float) -> "AirBearingBase":
-        """The same run if Coulomb drag were rounded to zero below this slip."""
-        other = copy(self)
-        other.rounding_m_s = rounding_m_s
-        return other
 
     def with_errors(self, errors: FloatArray, since: int = 0, multiples: FloatArray = NO_MULTIPLES) -> "AirBearingBase":
         """The same run if the joints had these errors, (joints, 6), in the order of :data:`JOINT_ERRORS`.

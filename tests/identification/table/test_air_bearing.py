@@ -3,6 +3,8 @@
 The fit of a run on a table where growing parts lead nowhere: searches for minima, their end and their bounds.
 """
 
+from contextlib import suppress
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +17,7 @@ from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.free_flyer.batch import MotionFit
+from onboard.identification.free_flyer.guesses import GUESSES
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior
 from onboard.identification.table import air_bearing
 from onboard.identification.table.air_bearing import Searched, TableFit, Work, drag_of
@@ -71,7 +74,7 @@ def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contra
 
     monkeypatch.setattr(MotionFit, "fit", fails)
     far = Searched(contradicted.start(PAYLOAD), 1e6)
-    monkeypatch.setattr(TableFit, "_continued", lambda *_: far)
+    monkeypatch.setattr(TableFit, "grown", lambda *_: far)
     with pytest.raises(ConvergenceError, match=r"contradict each other: .* times the noise"):
         contradicted.fit()
 
@@ -80,25 +83,35 @@ def test_results_of_a_search_that_are_far_from_an_answer_are_not_finished(contra
     ("by_one_drag", "by_the_other", "searches"),
     [
         ([1.0], [1.0], 2),
-        ([1.1, 1.0], [1.0, 1.0], 3),
-        ([1.0, 1.0, 1.0], [1.1, 1.1, 1.1], 6),
+        ([1.1, 1.0], [1.0, 1.0], 4),
+        ([1.0, 1.1, 1.1], [1.1, 1.1, 1.1], 6),
         ([1.4, 1.4, 1.4], [1.4, 1.4, 1.4], 6),
     ],
 )
-def test_searches_end_where_both_drags_led_to_one_minimum_that_explains_the_run(
+def test_searches_end_where_the_likeliest_minimum_explains_the_run_and_was_reached_twice(
     run, rng, monkeypatch, by_one_drag, by_the_other, searches
 ):
     motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
     left = {drags: iter(own) for drags, own in zip(air_bearing.DRAGS, (by_one_drag, by_the_other), strict=True)}
     done = []
 
-    def continued(coarse, guess, _roundings, drags, _work):
+    def grown(coarse, guess, drags, _work):
         done.append(6 * int(coarse.valid.sum()) * next(left[drags]))
         return Searched(coarse.start(guess), done[-1])
 
-    monkeypatch.setattr(TableFit, "_continued", continued)
+    monkeypatch.setattr(TableFit, "grown", grown)
     assert len(motion_fit.searched()) == 2
     assert len(done) == searches
+
+
+def test_searches_lead_to_one_minimum_from_several_payloads_and_drags_and_keep_these_positive(run, rng):
+    motion_fit = TableFit(run.vehicle, "imu_base", noisy(run, rng), WIDE, {}, PRIOR)
+    positive, found = [motion_fit.layout.estimated("payload")[0], *motion_fit.layout.estimated("drag")], []
+    for guess, drags in product(GUESSES, air_bearing.DRAGS):
+        with suppress(ConvergenceError):
+            found.append(motion_fit.grown(guess, drags, Work(1_000_000)))
+    assert all((one.x[positive] > 0.0).all() for one in found)
+    assert np.median([one.x[positive[0]] for one in found]) == pytest.approx(BOX.mass_kg, rel=0.02)
 
 
 def test_searches_of_a_run_are_bounded(contradicted, monkeypatch):
