@@ -36,6 +36,12 @@ def console() -> "Console":
 
 def show(shown: "RenderableType") -> None:
     """Print ``shown``. Numbers are never cut or broken: a table that does not fit the terminal, or a pipe, is wider."""
+    from rich.console import Group
+
+    if isinstance(shown, Group):  # what stands beside such a table is not
+        for part in shown.renderables:
+            show(part)
+        return
     shell = console()
     _keep_numbers_whole(shown)
     for width in (shell.width, *(wider for wider in _WIDER if wider > shell.width)):

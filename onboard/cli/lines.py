@@ -13,7 +13,7 @@ FIRST_S, EVERY_S = 2.0, 5.0
 
 
 class ProgressLines(Progress):
-    """``heft: rocksat, seed 1: 43 %, 12 s so far`` after 2 s and then each 5 s, of the first task that is not done.
+    """``heft: rocksat, seed 1: 43 %, 12 s so far`` after 2 s and then each 5 s, of the last task that is not done.
 
     Args:
         threads: a thread writes them; without, they come with updates alone.
@@ -50,7 +50,7 @@ class ProgressLines(Progress):
     def _say(self) -> None:
         now_s = time.monotonic()
         self._due_s = now_s + EVERY_S
-        for task in [*(one for one in self.tasks if not one.finished), *self.tasks][:1]:
+        for task in [*self.tasks, *(one for one in self.tasks if not one.finished)][-1:]:
             share = "" if task.total is None else f"{task.percentage:.0f} %, "
             with contextlib.suppress(OSError, ValueError):  # the reader has gone: the work goes on
                 sys.stderr.write(f"heft: {task.description}: {share}{now_s - self._began_s:.0f} s so far\n")

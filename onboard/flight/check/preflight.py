@@ -358,10 +358,10 @@ def _without_pulses(vehicle: config.Vehicle, checks: Iterable[Check]) -> list[st
 
 def render(found: Preflight) -> RenderableType:
     """The vehicle as a table, what stands against flying under it."""
-    table = Table(box=SIMPLE_HEAD)
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for heading in ("device", "kind", "is"):
         table.add_column(heading)
-    for heading in ("rate, Hz", "nominal", "sync", "time, us"):
+    for heading in ("Hz", "nominal", "sync", "time, us"):
         table.add_column(heading, justify="right")
     table.add_column()
     for check in found.checks:
