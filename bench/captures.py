@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from bench import given
 from bench.identification import free_flyer as case
 from bench.identification.recursive import estimator, ticks_of
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import sample
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS
 from onboard.identification.free_flyer.recursion.recursive import MotionFilter

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.free_flyer import BOXES, ERRORS, IMU_PRIOR, PAYLOAD_SIGMA, vehicle
-from hil_sim.plants import free_flyer
-from hil_sim.plants.free_flyer import COUNTS_PER_TURN
-from hil_sim.sensing.free_flyer_sensors import sample
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer import COUNTS_PER_TURN
+from bench.true_flights.free_flyer_sensors import sample
 from onboard.dynamics.ticks import FlightSignals, tick_signals
 from onboard.estimation.errors import ConvergenceError
 from onboard.ground.log.rescue.fit_clocks import RecordedPair, coarse_clocks, rescue

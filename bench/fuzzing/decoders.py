@@ -149,8 +149,6 @@ def nimu(data: bytes) -> None:
         while at >= 0:
             body = body[:at] + peers.nimu_summed(body[at:], CHECKSUM_SPANS[span])
             at = body.find(peers.NIMU_HEADER, at + 5)
-    with contextlib.suppress(FrameError):
-        nimu_room.decode_packets(body, span)
     exhaust(nimu_room.PacketStream(span), body, how)
     clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
     config = nimu_room.NimuConfig(checksum_span=span, magnetometer=bool(which & 8))
@@ -161,8 +159,6 @@ def nimu(data: bytes) -> None:
 def qsb(data: bytes) -> None:
     """Lines by the decoder and by the device, whose commands are answered or not."""
     (how, which, fail_at), body = leading(data, 3)
-    with contextlib.suppress(FrameError):
-        qsb_room.decode_lines(body)
     exhaust(qsb_room.LineStream(), body, how)
     clock, port = peers.Clock(), peers.MemorySerial(fail_at=fail_at)
     if not which & 0x80:

@@ -10,6 +10,7 @@ from drivers.device import Device
 from drivers.errors import FrameError
 from drivers.i2c import as5048, as5600, nau7802
 from drivers.inertial import bmi088, bmi088_fifo, icm20948
+from drivers.inertial.packet import decode_words
 from drivers.ports import I2cPort, I2cReply
 
 TRANSFER_NS = 100_000
@@ -181,7 +182,7 @@ def icm20948_chip(data: bytes) -> None:
     """The decoder and the device, its banks one above the other; ``count`` bytes are in its FIFO."""
     (which, count), body = leading(data, 2)
     with contextlib.suppress(FrameError):
-        icm20948.decode_packets(body, icm20948.Icm20948Config())
+        decode_words(body, icm20948.ORDER, icm20948.Icm20948Config())
     rate_hz, longest = (1125.0, 562.5, 225.0)[which % 3], (14, 30, 252)[(which >> 2) % 3]
     chip = Banked(peers.Clock(), {0x00: 0xEA})
     chip.values[0x71] = count

@@ -16,12 +16,12 @@ from bench.honest_flights.classes import of_class
 from bench.honest_flights.drawn import MISSIONS, Drawn, draw
 from bench.identification import free_flyer as bench_flyer
 from bench.identification import planar
+from bench.true_flights import free_flyer, planar_bed
+from bench.true_flights.free_flyer import COUNTS_PER_TURN, Body, JointMotion
+from bench.true_flights.free_flyer_sensors import SampledSignals, sample
 from drivers.records import IMU, SCALAR, Rows
 from hil_sim.devices.vehicle_file import scenario_of
 from hil_sim.mission import open_in_process
-from hil_sim.plants import free_flyer, planar_bed
-from hil_sim.plants.free_flyer import COUNTS_PER_TURN, Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import SampledSignals, sample
 from onboard import config
 from onboard.dynamics.model.inertia import elements
 from onboard.flight import hil

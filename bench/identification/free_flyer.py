@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.identification.momentum import momentum_columns
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors, sample
 from onboard import config
 from onboard.dynamics.kinematics import composite_inertia, link_motions
 from onboard.dynamics.model.bases import BaseKind

@@ -23,8 +23,8 @@ from bench.identification.free_flyer import (
     PAYLOAD_SIGMA,
     as_built,
 )
-from hil_sim.plants import free_flyer, planar_bed
-from hil_sim.sensing.free_flyer_sensors import sample
+from bench.true_flights import free_flyer, planar_bed
+from bench.true_flights.free_flyer_sensors import sample
 from onboard import config
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance

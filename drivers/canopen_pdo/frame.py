@@ -54,8 +54,6 @@ class NmtCommand(IntEnum):
     START = 0x01
     STOP = 0x02
     PRE_OPERATIONAL = 0x80
-    RESET_NODE = 0x81
-    RESET_COMMUNICATION = 0x82
 
 
 class NmtState(IntEnum):

@@ -17,10 +17,10 @@ from drivers.errors import ConfigurationError, WrongDeviceError
 from drivers.i2c.banked import BankedBus
 from drivers.i2c.sensor import MS, I2cSensor, Watched
 from drivers.inertial.fifo import Fifo
-from drivers.inertial.packet import PACKET_BYTES, WordOrder, decode_words
+from drivers.inertial.packet import PACKET_BYTES, WordOrder
 from drivers.inertial.stream import MARKED, SampleStream
 from drivers.ports import I2cPort, I2cReply
-from drivers.records import Batch, Rows, Severity
+from drivers.records import Batch, Severity
 from drivers.repeats import Repeats, longest_run
 from drivers.reporter import Reporter
 
@@ -124,11 +124,6 @@ class Icm20948Config:
         gyro = GYRO_NOISE_DEG_S * math.sqrt(GYRO_NOISE_HZ[code]) * GYRO_LSB_PER_DEG_S[self.gyro_range_deg_s]
         narrowest_hz = min(ACCEL_BANDWIDTH_HZ[code], GYRO_BANDWIDTH_HZ[code])
         return longest_run([accel] * 3 + [gyro] * 3, narrowest_hz, self.sample_rate_hz)
-
-
-def decode_packets(data: bytes, config: Icm20948Config) -> Rows:
-    """See ``drivers.inertial.packet.decode_words``."""
-    return decode_words(data, ORDER, config)
 
 
 def identify(port: I2cPort, address: int) -> str | None:

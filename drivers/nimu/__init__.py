@@ -6,7 +6,7 @@ the number of wraps during a loss comes from host time; there is no sync input, 
 """
 
 from drivers.nimu.device import Nimu
-from drivers.nimu.packet import NimuConfig, PacketStream, decode_packets
+from drivers.nimu.packet import NimuConfig, PacketStream
 from drivers.nimu.timer import PacketTimer
 
-__all__ = ["Nimu", "NimuConfig", "PacketStream", "PacketTimer", "decode_packets"]
+__all__ = ["Nimu", "NimuConfig", "PacketStream", "PacketTimer"]

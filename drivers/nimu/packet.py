@@ -84,25 +84,6 @@ class Packets(NamedTuple):
     words: NDArray[np.int16]
 
 
-def decode_packets(data: bytes, checksum_span: str = "packet") -> Packets:
-    """Whole packets to words.
-
-    Args:
-        data: Bytes that begin with a packet and end with one.
-        checksum_span: See ``NimuConfig``.
-
-    Raises:
-        FrameError: The length is not a whole number of packets, or one has a wrong header, id or checksum.
-    """
-    if len(data) % PACKET_BYTES:
-        raise FrameError(f"{len(data)} bytes are no whole number of {PACKET_BYTES}-byte packets: find the header")
-    matrix = np.frombuffer(data, np.uint8).reshape(-1, PACKET_BYTES)
-    good = _are_good(matrix, checksum_span)
-    if not good.all():
-        raise FrameError(_why_not(matrix[int(good.argmin())], checksum_span))
-    return _words(matrix)
-
-
 class PacketStream(ReceivedBuffer):
     """Splits a byte stream into packets: ``receive`` bytes, then ``take`` until it returns None.
 

@@ -9,7 +9,7 @@ reported.
 
 from drivers.qsb.device import Qsb
 from drivers.qsb.edges import SyncEdges
-from drivers.qsb.line import LineStream, decode_lines
+from drivers.qsb.line import LineStream
 from drivers.qsb.registers import QsbConfig, setup_commands
 
-__all__ = ["LineStream", "Qsb", "QsbConfig", "SyncEdges", "decode_lines", "setup_commands"]
+__all__ = ["LineStream", "Qsb", "QsbConfig", "SyncEdges", "setup_commands"]

@@ -64,24 +64,6 @@ class Lines(NamedTuple):
         return Lines(kind[first:], register[first:], data[first:], stamp[first:], *flags)
 
 
-def decode_lines(data: bytes) -> Lines:
-    """Whole 26-byte lines to numbers.
-
-    Args:
-        data: Bytes that begin with a line and end with one.
-
-    Raises:
-        FrameError: The length is not a whole number of lines, or one is not of the 26-byte form.
-    """
-    if len(data) % LINE_BYTES:
-        raise FrameError(f"{len(data)} bytes are no whole number of {LINE_BYTES}-byte lines: split them at '!'")
-    matrix = np.frombuffer(data, np.uint8).reshape(-1, LINE_BYTES)
-    good = _first_bad(matrix)
-    if good < len(matrix):
-        raise FrameError(f"{matrix[good].tobytes()!r} is no 26-byte line: write EOR = F")
-    return _numbers(matrix)
-
-
 class LineStream(ReceivedBuffer):
     """Splits a byte stream into lines: ``receive`` bytes, then ``take`` until it returns None.
 

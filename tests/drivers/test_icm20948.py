@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import FrameError
 from drivers.i2c.banked import BankedBus
-from drivers.inertial.icm20948 import Icm20948, Icm20948Config, decode_packets, identify
+from drivers.inertial.icm20948 import ORDER, Icm20948, Icm20948Config, identify
+from drivers.inertial.packet import decode_words
 from drivers.records import SampleStatus
 from tests.drivers.batches import codes, of
 from tests.drivers.chip_flight import ChipFlight
@@ -40,7 +41,7 @@ def flight(clock):
 
 def test_a_packet_is_accel_gyro_and_temperature_in_big_endian_words():
     data = bytes.fromhex("0001 fffe 7fff 0010 8000 ff00 0b37 0001 0002 0003 0004 0005 0006 0b36")
-    rows = decode_packets(data, Icm20948Config(accel_range_g=8, gyro_range_deg_s=1000))
+    rows = decode_words(data, ORDER, Icm20948Config(accel_range_g=8, gyro_range_deg_s=1000))
     assert rows["accel_raw"].tolist() == [[1, -2, 32767], [1, 2, 3]]
     assert rows["gyro_raw"].tolist() == [[16, -32768, -256], [4, 5, 6]]
     assert rows["temperature_raw"].tolist() == [0x0B37, 0x0B36]
@@ -54,9 +55,9 @@ def test_a_packet_is_accel_gyro_and_temperature_in_big_endian_words():
 def test_any_bytes_are_packets_or_refused(data):
     if len(data) % 14:
         with pytest.raises(FrameError, match="no whole number"):
-            decode_packets(data, Icm20948Config())
+            decode_words(data, ORDER, Icm20948Config())
     else:
-        assert len(decode_packets(data, Icm20948Config())) == len(data) // 14
+        assert len(decode_words(data, ORDER, Icm20948Config())) == len(data) // 14
 
 
 @pytest.mark.parametrize("longest", [14, 30, 8192])

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import FrameError
-from drivers.nimu import PacketStream, PacketTimer, decode_packets
+from drivers.nimu import PacketStream, PacketTimer
 from tests.drivers.nimu_model import PACKET, PERIOD, TICK_NS, WORDS, NimuModel
 from tests.drivers.serial_script import MS, bytewise, fed, pieces
 from tests.drivers.serial_script import whole as at_once
@@ -142,30 +142,33 @@ def test_the_period_is_learnt(period):
 def test_the_packet_of_the_data_sheet():
     assert len(PACKET) == 38
     assert sum(PACKET[:-1]) % 256 == PACKET[-1]
-    packets = decode_packets(PACKET)
+    (packets,), errors = fed(PacketStream(), PACKET, at_once(PACKET))
     assert packets.timer.tolist() == [0x1234]
     assert packets.words.tolist() == [WORDS]
-    assert decode_packets(b"").timer.size == 0
+    assert errors == []
 
 
 @pytest.mark.parametrize("span", ["packet", "after_sync", "payload"])
 def test_each_span_of_the_checksum(span):
     model = NimuModel(span)
     data = b"".join(model.packet() for _ in range(50))
-    assert decode_packets(data, span).timer.size == 50
+    taken, errors = fed(PacketStream(span), data, at_once(data))
+    assert sum(packets.timer.size for packets in taken) == 50
+    assert errors == []
     for other in {"packet", "after_sync", "payload"} - {span}:
-        with pytest.raises(FrameError, match=f"it is that of checksum_span = '{span}'"):
-            decode_packets(data, other)
+        taken, errors = fed(PacketStream(other), data, at_once(data))
+        assert taken == []
+        assert f"it is that of checksum_span = '{span}'" in errors[0]
 
 
 @pytest.mark.parametrize("at", [*range(5), 6, *range(7, 38)])
 def test_a_flipped_bit_is_refused(at):
     spoiled = bytearray(PACKET)
     spoiled[at] ^= 0x10
-    with pytest.raises(FrameError):
-        decode_packets(PACKET + bytes(spoiled))
-    with pytest.raises(FrameError):
-        decode_packets(PACKET[: max(at, 1)])
+    data = PACKET + bytes(spoiled)
+    (packets,), errors = fed(PacketStream(), data, at_once(data))
+    assert packets.timer.size == 1
+    assert errors
 
 
 FEEDS = {"whole": at_once, "bytewise": lambda _: bytewise(), "pieces": lambda _: pieces(7)}

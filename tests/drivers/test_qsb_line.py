@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import FrameError
-from drivers.qsb import LineStream, QsbConfig, SyncEdges, decode_lines, setup_commands
+from drivers.qsb import LineStream, QsbConfig, SyncEdges, setup_commands
 from drivers.qsb.counter import TickCounter
 from drivers.qsb.registers import greeting_commands
 from tests.drivers.serial_script import bytewise, fed, pieces, whole
@@ -22,11 +22,14 @@ def numbers(lines):
 
 def test_the_manufacturers_line():
     assert len(LINE) == 26
-    lines = decode_lines(LINE)
-    assert numbers(lines) == [("s", 0x0E, 0x1F4A2, 0x1234)]
-    assert lines.stamped
-    assert numbers(decode_lines(b"")) == []
-    assert numbers(decode_lines(b"w 0d ffffffff ABCDEF01 !\r\n")) == [("w", 0x0D, 0xFFFFFFFF, 0xABCDEF01)]
+    other = b"w 0d ffffffff ABCDEF01 !\r\n"
+    lines, errors = fed(LineStream(), LINE + other, whole(LINE + other))
+    assert [numbers(one) for one in lines] == [
+        [("s", 0x0E, 0x1F4A2, 0x1234)],
+        [("w", 0x0D, 0xFFFFFFFF, 0xABCDEF01)],
+    ]
+    assert lines[0].stamped
+    assert errors == []
 
 
 FORMATS = {  # EOR bits: 1 LF, 2 CR, 4 timestamp, 8 spaces
@@ -77,7 +80,6 @@ def test_greetings_and_complaints_are_read(data, line):
 @pytest.mark.parametrize(
     "bad",
     [
-        LINE[:-1],
         LINE.replace(b" ", b"_"),
         b"q" + LINE[1:],
         LINE.replace(b"A2", b"G2"),
@@ -85,9 +87,11 @@ def test_greetings_and_complaints_are_read(data, line):
         b" " * 26,
     ],
 )
-def test_what_is_no_whole_line_is_refused(bad):
-    with pytest.raises(FrameError):
-        decode_lines(LINE + bad)
+def test_what_is_no_line_between_lines_is_none(bad):
+    data = LINE + bad + LINE
+    taken, errors = fed(LineStream(), data, whole(data))
+    assert [line for piece in taken for line in numbers(piece)] == [("s", 0x0E, 0x1F4A2, 0x1234)] * 2
+    assert len(errors) == 1
 
 
 RUN = [b"s 0E %08X %08X !\r\n" % (1000 + 7 * n, n) for n in range(300)]

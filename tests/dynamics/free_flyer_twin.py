@@ -7,8 +7,8 @@ import numpy as np
 
 import onboard
 from bench.identification.momentum import momentum_columns
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, SampledSignals, sample
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors, SampledSignals, sample
 from onboard.dynamics.kinematics import composite_inertia, link_motions
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.free_flight import predict_base, predict_base_from_rate
 from onboard.dynamics.joint_errors import JOINT_ERRORS, EncoderReadings, JointErrors
 from onboard.dynamics.kinematics import chain_motion, link_motions

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.dynamics.free_flight import Push, predict_base_from_rate, sensor_in_base
 from onboard.dynamics.kinematics import chain_motion

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil_sim.plants import planar_bed
-from hil_sim.plants.free_flyer import Body, JointMotion
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, SampledSignals, sample
+from bench.true_flights import planar_bed
+from bench.true_flights.free_flyer import Body, JointMotion
+from bench.true_flights.free_flyer_sensors import ImuErrors, SampledSignals, sample
 from onboard import cli, config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.urdf import with_bodies

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import onboard
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from onboard import config
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of

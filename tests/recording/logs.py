@@ -8,8 +8,8 @@ import numpy as np
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
+from bench.true_flights.free_flyer_sensors import COUNTS_PER_TURN
 from drivers.records import IMU, SCALAR
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN
 from onboard.recording.writer import LogWriter
 
 READING = np.dtype([("sequence", "<u8"), ("host_ns", "<i8"), ("value", "<i4"), ("code", "u1")], align=True)

@@ -22,7 +22,6 @@ class Abort(IntEnum):
     LENGTH = 0x06070010
     NO_SUBINDEX = 0x06090011
     VALUE_RANGE = 0x06090030
-    DEVICE_STATE = 0x08000022
 
 
 class DictionaryError(Exception):

@@ -36,7 +36,6 @@ class LoadCell404(CanopenNode):
         analog: Force on the cell as the converter sees it, N.
         start_ns: ``CLOCK_MONOTONIC`` ns of power-up, mission time 0.
         capacity_n: Full scale, N, either way.
-        decimals: 6132h:1; 4 means 0.1 mN a count.
         flags_overload: Whether 6150h:1 says that a clipped value is not valid.
         faults: What breaks.
 
@@ -51,7 +50,6 @@ class LoadCell404(CanopenNode):
         start_ns: int,
         *,
         capacity_n: float = 50.0,
-        decimals: int = 4,
         flags_overload: bool = False,
         faults: DeviceFaults = NO_FAULTS,
     ) -> None:
@@ -65,7 +63,7 @@ class LoadCell404(CanopenNode):
         self._add_channel(0x6112, Entry(u8, Access.RO, 1))  # operating mode: measuring
         self._add_channel(0x6125, Entry(DataType.U32, Access.WO, check=self._auto_zero))
         self._add_channel(0x6131, Entry(DataType.U32, Access.RO, _NEWTON))
-        self._decimals = self._add_channel(0x6132, Entry(u8, Access.RW, decimals, check=self._check_decimals))
+        self._decimals = self._add_channel(0x6132, Entry(u8, Access.RW, 4, check=self._check_decimals))  # 0.1 mN
         self._add_channel(0x6150, Entry(u8, Access.RO, read=self.status, mappable=True, read_many=self.statuses))
         self._add_channel(0x9100, Entry(i32, Access.RO, read=self.field_value, mappable=True))
         self._add_channel(

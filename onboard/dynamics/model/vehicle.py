@@ -23,7 +23,7 @@ from onboard.dynamics.model.urdf_reading import Drawing, plain, shortened
 from onboard.estimation.arrays import FloatArray
 
 STANDARD = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
-FREE_FLYER_NQ, FREE_FLYER_NV = 7, 6
+FREE_FLYER_NV = 6
 STANDARD_GRAVITY_M_S2 = 9.80665
 NAMED = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)  # of a link and a joint, the link
 

@@ -184,7 +184,7 @@ def _rounds(own: _Readings, prior: Priors, rounds: int, begin: PoseFit | None) -
         found = _fit(own, prior, found.at, noise)
         if change < _CLOSE:
             break
-    return _finished(own, prior, found)
+    return _finished(own, found)
 
 
 def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> Weighing:
@@ -205,7 +205,7 @@ def weigh(R: FloatArray, wrench: FloatArray, prior: Priors, first: PoseFit) -> W
             each = np.where(odd, SPREADS[-1], spread)
             its = prior._replace(spreads=tuple(each.tolist()))
             if one is first and spread <= 1.0:
-                made = _finished(own, its, _fit(own, its, _At.of(first.state, prior), first.noise))
+                made = _finished(own, _fit(own, its, _At.of(first.state, prior), first.noise))
             else:
                 one = made = _rounds(own, its, _ROUNDS, one)
             every.append((made, each, float(likely + odds)))
@@ -383,7 +383,7 @@ def _fit(own: _Readings, prior: Priors, at: _At, noise: Noise) -> _Found:
     return _Found(at, root.T @ root, noise, own.read - turned @ at.made.T, spread, sigmas, volume)
 
 
-def _finished(own: _Readings, prior: Priors, found: _Found) -> PoseFit:
+def _finished(own: _Readings, found: _Found) -> PoseFit:
     """With what no further round asks for."""
     at, left, spread, sigmas = found.at, found.left, found.spread, found.sigmas
     residual = own.wrench - own.elements @ at.made.T

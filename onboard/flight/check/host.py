@@ -32,7 +32,6 @@ class Host(NamedTuple):
         free_bytes: room where flights are recorded.
         bytes_per_s: what this vehicle records: devices, and at most what the estimator says.
         write_bytes_s: how fast the disk takes it, brought to the medium; 0: it takes nothing.
-        slowest_sync_s: longest wait for the medium.
         problems: what stands against flying, with the remedy.
         warnings: what it can be flown with.
     """
@@ -40,7 +39,6 @@ class Host(NamedTuple):
     free_bytes: int
     bytes_per_s: float
     write_bytes_s: float
-    slowest_sync_s: float
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -97,7 +95,7 @@ def look_over(
             problems += _of_speed(there, speed, bytes_per_s)
     if slowest_s > SLOW_SYNC_S:
         warnings.append(f"{there} took {slowest_s:.1f} s to bring data to the medium once: use a faster medium")
-    return Host(free_bytes, bytes_per_s, speed, slowest_s, tuple(problems), tuple(warnings))
+    return Host(free_bytes, bytes_per_s, speed, tuple(problems), tuple(warnings))
 
 
 def _of_speed(there: Path, speed: float, bytes_per_s: float) -> list[str]:

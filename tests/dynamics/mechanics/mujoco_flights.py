@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import onboard
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bench.true_flights.free_flyer import BASE
 from hil_sim.plants import bench
-from hil_sim.plants.free_flyer import BASE
 from onboard import config
 from onboard.estimation.calibration.bifilar import Suspension
 from onboard.estimation.errors import CalibrationError

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors
 from onboard import channels, cli, config
 from onboard.dynamics.model.payload import standard_of
 from onboard.flight.estimate.estimator import Estimator

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import onboard
+from bench.true_flights import free_flyer
 from hil_sim.devices.vehicle_file import scenario_of
-from hil_sim.plants import free_flyer, urdf_drawing
+from hil_sim.plants import urdf_drawing
 from hil_sim.plants.motions.attitude import Wheels
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight

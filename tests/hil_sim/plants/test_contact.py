@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from hil_sim.plants.body import Solid
 from hil_sim.plants.events import events
 from hil_sim.plants.parts.contact import Contact

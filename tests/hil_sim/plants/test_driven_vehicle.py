@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from hil_sim.plants.body import Solid
 from hil_sim.plants.drives.driven_vehicle import Drivable, DrivenVehicle, Losses
 from hil_sim.plants.drives.servo_axis import ServoAxis

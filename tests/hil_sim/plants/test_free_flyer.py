@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 
 BOX = free_flyer.Body.box(5.0, (0.20, 0.16, 0.14), (0.03, -0.02, 0.08))
 CAPTURE = free_flyer.Capture(BOX, 0.4, np.array([0.03, -0.02, -0.05]), np.array([0.02, 0.04, -0.03]))

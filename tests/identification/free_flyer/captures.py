@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.mechanics.floating_arm import FloatingArm
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_covariance, standard_of

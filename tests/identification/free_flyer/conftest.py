@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from tests.dynamics.free_flyer_twin import BOX, twin
 from tests.identification.free_flyer.recorded_flights import CAPTURE_s, END_s, RELEASE_s, recorded
 

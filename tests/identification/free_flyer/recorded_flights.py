@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from bench.true_flights.free_flyer_sensors import ImuErrors, sample
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec

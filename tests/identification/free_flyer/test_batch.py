@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from bench.true_flights.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.payload import numbers_of, standard_covariance, standard_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.model.errors import SignalError
 from onboard.ground.identify.identify_view import within_interval
 from tests.identification.free_flyer.captures import LARGE, Case

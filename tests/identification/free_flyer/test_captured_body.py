@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.identification.free_flyer import captured_body as module
 from onboard.identification.free_flyer.before_capture import Payload, before_capture
 from onboard.identification.free_flyer.captured_body import NAMES, CapturedBody

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer, urdf_drawing
+from bench.true_flights import free_flyer
+from hil_sim.plants import urdf_drawing
 from hil_sim.plants.parts.soft_parts import SoftParts
 from hil_sim.plants.urdf_model import Places, UrdfModel
 from hil_sim.plants.vehicle_flight import VehicleFlight

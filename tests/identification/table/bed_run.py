@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 import onboard
-from hil_sim.plants import free_flyer, planar_bed
-from hil_sim.sensing.free_flyer_sensors import ImuErrors, sample
+from bench.true_flights import free_flyer, planar_bed
+from bench.true_flights.free_flyer_sensors import ImuErrors, sample
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.inertia import RigidBody
 from onboard.dynamics.model.payload import standard_of

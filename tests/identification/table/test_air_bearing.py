@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil_sim.plants import planar_bed
+from bench.true_flights import planar_bed
 from onboard.dynamics.model.bases import BaseKind
 from onboard.dynamics.model.errors import SignalError, UnknownFrameError
 from onboard.dynamics.model.payload import standard_covariance

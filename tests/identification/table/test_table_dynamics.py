@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hil_sim.plants import planar_bed
+from bench.true_flights import planar_bed
 from onboard.dynamics.air_bearing import PlanarDrag, PlanarRun, predict_run
 from onboard.dynamics.model.payload import standard_of
 from onboard.dynamics.ticks import FlightSignals

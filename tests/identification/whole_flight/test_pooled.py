@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.model.payload import standard_of
 from onboard.identification.whole_flight.fit import WholeFlight
 from onboard.identification.whole_flight.pooled import Pool

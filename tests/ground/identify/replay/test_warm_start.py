@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard import cli, config
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.flight.estimate.estimator import Estimator

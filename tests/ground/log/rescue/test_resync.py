@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from drivers import records
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import COUNTS_PER_TURN, ImuErrors, sample
 from onboard import cli
 from onboard.ground.log.bring_in.importer import import_recordings
 from onboard.recording.reader import LogReader

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard import config
 from onboard.flight.estimate.problem.identification import build_free_flyer, build_online
 from onboard.identification.free_flyer.online import MotionIdentifier

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors
 from onboard.dynamics.model.payload import standard_covariance
 from onboard.identification.free_flyer.batch import FreeBase, MotionFit
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from hil_sim.plants.vehicle_flight import VehicleFlight
 from onboard.identification.evidence.bank import Weighed
 from onboard.identification.free_flyer.online import MotionIdentifier

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
+from bench.true_flights import free_flyer
 from onboard.dynamics.tracked_pose import LINES
 from onboard.identification.free_flyer.fusion import Fusion
 from onboard.identification.free_flyer.prediction.further import FurtherPose, PosePrior

@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors
 from onboard.flight.estimate.state import UnwrittenParts, from_bytes
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, ImuPredictor

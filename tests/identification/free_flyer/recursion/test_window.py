@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil_sim.plants import free_flyer
-from hil_sim.sensing.free_flyer_sensors import ImuErrors
+from bench.true_flights import free_flyer
+from bench.true_flights.free_flyer_sensors import ImuErrors
 from onboard.estimation.maximum_likelihood import Descent
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.evidence.bodies import CHANGES

@@ -5,8 +5,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from bench.true_flights.free_flyer import COUNTS_PER_TURN
 from hil_sim.arrays import FloatArray
-from hil_sim.plants.free_flyer import COUNTS_PER_TURN
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 
 GYRO_DENSITY_rad_s = np.deg2rad(0.005)  # per root Hz; MPU-6050 product specification 3.4, section 6.1

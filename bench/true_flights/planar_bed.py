@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.true_flights import free_flyer
 from hil_sim.arrays import FloatArray
-from hil_sim.plants import free_flyer
 from hil_sim.plants.motions.motion import STANDARD_GRAVITY
 from hil_sim.plants.parts.pucks import AirPuck
 from hil_sim.plants.urdf_model import UrdfModel
