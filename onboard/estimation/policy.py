@@ -26,6 +26,8 @@ LIKELY_PLACE_m = 0.01
 FARTHEST_SIZE = 3.0
 """In these sigmas; chance exceeds it in 0.3 % of the cases. A larger error is of another kind (a dead cell, a wrong
 sign, half the gain) that no linear model explains: an instrument with such an error is left out entirely."""
+LARGEST_SIZE = FARTHEST_SIZE * LIKELY_SIZE
+"""Of such an error: a calibration, or an edge of a rig, that is farther off is a wrong unit, sign, range or part."""
 ODDS = 1e-2
 """Prior odds that a body, or an instrument's scale, is so wrong, against the file as stated: one flight in a hundred.
 The hypothesis becomes the more probable one from 4.6 nats of evidence on."""

@@ -12,8 +12,10 @@ import numpy as np
 from drivers.records import IMU, Rows
 from onboard.devices import si
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.calibration import wrist
 from onboard.estimation.errors import CalibrationError
 from onboard.ground.calibrate.place import Gravity
+from onboard.ground.calibrate.weigh.changed import PART
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.conventions import Known, Said
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -22,8 +24,7 @@ from onboard.ground.calibrate.weigh.weigh import Answer, weigh
 from onboard.ground.calibrate.weigh.wrist_sensor import WristSensor
 
 REST_s = 2.0
-FEWEST, MOST = 6, 60  # poses: with fewer a weighing does not end, with more it does
-_ENOUGH = 12  # poses, from which on it ends where no further one would tell much
+MOST = 60  # poses
 _QUARTERS, _ROWS = 4, 8
 _SILENT_s, _RESTLESS_s = 3.0, 15.0
 _STILL_rad = np.deg2rad(0.1)  # of a joint, of gravity: 0.2 % of the weight across
@@ -209,7 +210,7 @@ class Session:
 
     def _weigh(self) -> None:
         n = len(self.R)
-        if n < 4:
+        if n < wrist.FEWEST:
             self.tell(f"pose {n} taken; turn the wrist to the next pose")
             return
         meaning = Meaning("matrix", np.array(self.R).reshape(n, 9), np.array(self.wrench), ())
@@ -225,9 +226,9 @@ class Session:
         else:
             half = 0.5 * (mass.high - mass.low) / abs(mass.value)
             told = f"{mass.value:.4g} kg +- {100.0 * half:.2g} %"
-            if n >= FEWEST and half <= self.until:
+            if n >= PART and half <= self.until:
                 self.done = f"the mass is known to {100.0 * half:.2g} %"
-            elif n >= _ENOUGH and not more:
+            elif n >= 2 * PART and not more:
                 self.done = "no further pose would tell much: the rest is how well the sensor is calibrated"
         if n >= MOST:
             self.done = self.done or f"{MOST} poses"
