@@ -8,7 +8,7 @@ import numpy as np
 
 from onboard import config
 from onboard.devices.base import ImuDevice
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import PAUSE, FloatArray
 from onboard.estimation.calibration.imu import RestBias, TriadCalibration, rest_bias, six_positions, turns
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import LARGEST_SIZE
@@ -20,7 +20,6 @@ from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyCh
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
 _TURNING_rad_s = np.deg2rad(5.0)  # a steady turn about the vertical looks still but for this
-_LONGEST_GAP = 5.0  # periods
 _CARRIED = np.cos(np.pi * LARGEST_SIZE)  # what a wrong scale leaves of half a turn
 
 
@@ -194,7 +193,7 @@ def _turns(read: Readings, positions: list[_Position], turn_rad: float) -> tuple
         times = round(about / turn_rad)
         if not times:
             continue
-        if np.diff(t).max() > _LONGEST_GAP * period:
+        if np.diff(t).max() > PAUSE * period:
             raise CalibrationError(f"samples are missing in the turn at {span}; repeat the run")
         if not read.usable[part].all():
             raise CalibrationError(f"the gyro is saturated in the turn at {span}; turn slower")

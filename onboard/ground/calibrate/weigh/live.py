@@ -14,6 +14,7 @@ from onboard.devices import si
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.calibration import wrist
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import DOUBT, sigmas
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.weigh.changed import PART
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
@@ -29,7 +30,6 @@ _QUARTERS, _ROWS = 4, 8
 _SILENT_s, _RESTLESS_s = 3.0, 15.0
 _STILL_rad = np.deg2rad(0.1)  # of a joint, of gravity: 0.2 % of the weight across
 _TURNED_rad = np.deg2rad(5.0)
-_QUIET = 3.0  # of a cell's noise: what the means of quarters may differ by
 
 
 @dataclass
@@ -186,13 +186,13 @@ class Session:
                 )
             ways = parts / size[:, None]
             noise = max(signal.noise[3:]) / g / np.sqrt(0.25 * self._rest_s / signal.period_s)
-            if np.linalg.norm(ways - ways.mean(axis=0), axis=1).max() > _STILL_rad + 3.0 * noise:
+            if np.linalg.norm(ways - ways.mean(axis=0), axis=1).max() > _STILL_rad + sigmas(DOUBT) * noise:
                 return f"the wrist turns, by {channel}: hold it still"
             return ""
         spread = float(np.ptp(parts, axis=0).max())
         if channel in self.sensor.joints:
             return f"{channel} turns" if spread > _STILL_rad else ""
-        if spread > _QUIET * signal.noise[0]:
+        if spread > sigmas(DOUBT) * signal.noise[0]:
             return f"{channel} moves by {spread:.2g} N: let the tool come to rest, or correct noise_N of the cell"
         return ""
 
