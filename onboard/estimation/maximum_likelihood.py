@@ -126,7 +126,7 @@ class Descent:
         prior_mean: FloatArray,
         prior_information: FloatArray,
         iterations: int = ITERATIONS,
-        tolerance: float = 1e-4,
+        tolerance: float = MINIMUM,
         damping: float = DAMPING,
         beyond: int = BEYOND,
     ) -> None:
@@ -242,7 +242,7 @@ def fit(
     prior_mean: FloatArray,
     prior_information: FloatArray,
     iterations: int = ITERATIONS,
-    tolerance: float = 1e-4,
+    tolerance: float = MINIMUM,
 ) -> Fit:
     """:func:`fit_normal` of whitened residuals (m,), predicted less measured, and their derivative (m, p), at x."""
     return fit_normal(lambda x: Normal.of(*predict(x)), start, prior_mean, prior_information, iterations, tolerance)
@@ -254,7 +254,7 @@ def fit_normal(
     prior_mean: FloatArray,
     prior_information: FloatArray,
     iterations: int = ITERATIONS,
-    tolerance: float = 1e-4,
+    tolerance: float = MINIMUM,
     damping: float = DAMPING,
 ) -> Fit:
     """Minimises ``|r(x)|^2 + (x - x0)' L (x - x0)`` by a :class:`Descent`.

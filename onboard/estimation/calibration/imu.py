@@ -31,8 +31,8 @@ def six_positions(
     specific_force_m_s2: FloatArray,
     up: FloatArray,
     gravity_m_s2: float,
-    fixture_sigma_rad: float = 1e-3,
-    reading_sigma_m_s2: float = 1e-3,
+    fixture_sigma_rad: float,
+    reading_sigma_m_s2: float,
 ) -> TriadCalibration:
     """Accelerometer from its mean readings at rest; at rest the specific force is g upwards.
 
@@ -57,8 +57,8 @@ def turns(
     angle_rad: FloatArray,
     axis: FloatArray,
     integral_rad: FloatArray,
-    fixture_sigma_rad: float = 1e-3,
-    sigma_rad: float = 1e-3,
+    fixture_sigma_rad: float,
+    sigma_rad: float,
 ) -> TriadCalibration:
     """Gyro from turns by known angles, whole turns on a table say; its bias is zero here, see :func:`rest_bias`.
 

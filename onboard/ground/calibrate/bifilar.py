@@ -12,6 +12,7 @@ from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.inertia import elements
 from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.calibration.bifilar import (
+    FEWEST_SWINGS,
     AxisErrors,
     BifilarSwing,
     Suspension,
@@ -173,7 +174,7 @@ def _free(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     large = 0.1 * float(np.abs(level).max())
     each = zip([0, *crossings], crossings, [*crossings[1:], len(t) - 1], strict=False)
     kept = [c for a, c, b in each if min(np.abs(level[a : c + 1]).max(), np.abs(level[c : b + 1]).max()) > large]
-    if len(kept) < 8:
+    if len(kept) < 2.0 * FEWEST_SWINGS:
         return t, rate
     part = slice(int(kept[3]), int(kept[-2]))
     return t[part], rate[part]
