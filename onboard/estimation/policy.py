@@ -1,9 +1,8 @@
 """What decides: how often a healthy flight may be doubted or refused by chance, and what may be wrong before a flight.
 
 Limits by chance, and the odds and sizes of faults, are here, each with its source; floors of physics and limits of
-convergence stand where they are used. So do two limits by chance that are not of the budget: from which on a change of
-the payload is suspected (:mod:`onboard.estimation.change`), and a kind of correction doubted, in a fit of the whole
-flight (:mod:`onboard.identification.whole_flight.witnesses`).
+convergence stand where they are used. So does a limit by chance that is not of the budget: from which on a kind of
+correction is doubted, in a fit of the whole flight (:mod:`onboard.identification.whole_flight.witnesses`).
 
 A flight's answer is put to several tests, and a test looks several times: at each correction, instrument, block or
 reading. Each look has the chance that keeps that of any alarm within the budget (Šidák, J. Am. Stat. Assoc. 62, 1967).
