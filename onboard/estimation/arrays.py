@@ -14,8 +14,14 @@ ROUNDING = 1e-9
 """Relative difference of numbers that are equal but for rounding errors, or information that keeps a matrix regular."""
 SINGULAR = float(1.0 / np.finfo(np.float64).eps)
 """Condition of a matrix, or size of a number beside one, from which on rounding is all that is left of the smaller."""
+TINY = float(np.finfo(np.float64).tiny)
+"""Least positive number of full precision: what may be zero and is divided by."""
 OF_MEDIAN = 1.4826
 """Standard deviation of a normal of mean zero over the median of its size: ``1 / ndtri(3 / 4)``."""
+OF_STEP = float(1.0 / np.sqrt(12.0))
+"""Standard deviation of what rounding to steps of one leaves, or of a time in an interval of one."""
+PAUSE = 3.0
+"""Usual steps of time: across a longer one samples are missing, and a body has moved by itself."""
 _HAT = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 
 

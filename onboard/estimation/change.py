@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from onboard.estimation.arrays import FloatArray
+from onboard.estimation.policy import REFUSE
 
 _WINDOWS = (1, 2, 4, 8)
-_SUSPICION = 1e-4  # chance probability of one batch below which it is suspect
 _GLITCH = 10.0  # bound on one tick: chance probability of an alarm times this
 
 
@@ -63,6 +63,6 @@ class ChangeDetector:
         worst = int(chances.argmin())
         span = spans[worst]
         rest = bounded[~glitches] if glitches.sum() == 1 else bounded
-        suspect = rest.size > 0 and bool(chdtrc(self._width * rest.size, rest.sum()) < _SUSPICION)
+        suspect = rest.size > 0 and bool(chdtrc(self._width * rest.size, rest.sum()) < REFUSE)
         alarm = bool(chances[worst] < self._chance)
         return Detection(glitches, suspect, alarm, float(sums[span - 1] / freedom[span - 1]), span)

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from onboard.estimation.arrays import BoolArray, FloatArray
-from onboard.estimation.policy import READING
+from onboard.estimation.policy import MISFIT_DOUBTED, READING
 
 CUBIC_s = 0.4  # width of the cubic: what is slower than some 4 Hz follows it
 WINDOW_s = 0.3  # in which size and roughness are judged
-_ALLOWED = 1.2  # factor of the variance: of a sensor that is a tenth noisier than stated
 
 
 def is_free(force: ArrayLike, sigma: ArrayLike, period_s: float, largest_m_s2: float) -> BoolArray:
@@ -32,7 +31,7 @@ def is_free(force: ArrayLike, sigma: ArrayLike, period_s: float, largest_m_s2: f
     width = 2 * round(0.5 * WINDOW_s / period_s) + 1
     freedom = width * x.shape[1]
     size = np.linalg.norm(_means(x, width), axis=1)
-    limit = _ALLOWED * float(chdtri(freedom, READING)) / freedom
+    limit = MISFIT_DOUBTED * float(chdtri(freedom, READING)) / freedom
     with np.errstate(invalid="ignore"):
         return np.asarray((size <= largest_m_s2) & (_means(rough[:, None], width)[:, 0] <= limit), np.bool_)
 

@@ -153,22 +153,20 @@ class ResidualGate:
     Args:
         threshold: in sigmas.
         memory: how many recent innovations the spread is taken from.
-        minimum: number of innovations below which the gate passes everything.
         huber: innovations beyond so many sigmas (or times the spread) weigh less; none do, where not given.
 
     Raises:
         RowError: numbers out of range.
     """
 
-    def __init__(self, threshold: float, memory: int = 200, minimum: int = 20, huber: float | None = None) -> None:
-        if threshold <= 0.0 or not 1 <= minimum <= memory:
-            raise RowError("the residual gate needs a positive threshold and 1 <= minimum <= memory")
+    def __init__(self, threshold: float, memory: int = 200, huber: float | None = None) -> None:
+        if threshold <= 0.0 or memory < 1:
+            raise RowError("the residual gate needs a positive threshold and memory")
         if huber is not None and not 0.0 < huber < threshold:
             raise RowError(f"Huber's threshold is {huber}; it must be above zero and below the gate's {threshold}")
         self.threshold = threshold
         self.huber = huber
         self._recent = np.zeros(memory)
-        self._minimum = minimum
         self._count = 0
 
     @property
@@ -201,7 +199,7 @@ class ResidualGate:
         else:
             self._recent[(self._count + np.arange(n)) % size] = normalised
         self._count += n
-        if self._count < self._minimum or largest <= self.threshold:
+        if largest <= self.threshold:
             return np.zeros(n, np.int64)
         return reasons(normalised > self.threshold * max(1.0, self.spread), GateReason.RESIDUAL)
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import READING, sigmas
+from onboard.estimation.policy import MOSTLY, READING, sigmas
 
 SCATTERS, TRAVELS = 10.0, 3.0
 ALIKE = 0.2
@@ -31,7 +31,6 @@ _SIDE = 3  # steps on either side
 _WINDOW = 2 * _SIDE + 1  # steps
 _BEFORE = 64  # steps
 _UNEVEN = 1.5  # times the shortest interval of a window: between these, steps do not tell a rate
-_PAUSE = 0.5  # of a step that the joint made while no sample came
 _AT = np.delete(np.arange(_WINDOW) - _SIDE, _SIDE).astype(np.float64)
 _LINE = np.column_stack([np.ones(2 * _SIDE), _AT])
 _OFF_LINE = np.eye(2 * _SIDE) - _LINE @ np.linalg.pinv(_LINE)
@@ -112,7 +111,7 @@ def _jump(steps: FloatArray, intervals: FloatArray, arrivals: FloatArray) -> tup
     size = float(steps[_SIDE] - travel)
     paused = abs(travel) * float(arrivals[_SIDE] / intervals[_SIDE] - 1.0)
     largest = max(SCATTERS * float(np.abs(_OFF_LINE @ beside).max()), TRAVELS * float(np.abs(beside).max()))
-    return size if abs(size) > max(largest, paused / _PAUSE) else 0.0, travel
+    return size if abs(size) > max(largest, paused / MOSTLY) else 0.0, travel
 
 
 def _farthest(steps: FloatArray) -> float:

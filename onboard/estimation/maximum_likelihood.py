@@ -22,6 +22,7 @@ ROUGH_MINIMUM = 50.0
 ROUNDS = 3  # of a model that is nearly linear about the result of the last
 OPEN = 1e3  # stated sigmas of an error that may be of any size
 ITERATIONS = 50  # predictions, at most, of a fit that converges: it takes 3 to 30, more along a curved valley
+DAMPING = 1e-3  # of the first step, relative to the information's diagonal
 _LIGHTER = 0.1  # damping after a step that has lowered the sum of squares, relative to that before
 _HEAVIEST = 1e9  # damping
 BEYOND = 4  # steps, at most, from the end of one that has not lowered the sum of squares
@@ -125,8 +126,8 @@ class Descent:
         prior_mean: FloatArray,
         prior_information: FloatArray,
         iterations: int = ITERATIONS,
-        tolerance: float = 1e-4,
-        damping: float = 1e-3,
+        tolerance: float = MINIMUM,
+        damping: float = DAMPING,
         beyond: int = BEYOND,
     ) -> None:
         self.at: FloatArray = np.asarray(start, np.float64).copy()
@@ -241,7 +242,7 @@ def fit(
     prior_mean: FloatArray,
     prior_information: FloatArray,
     iterations: int = ITERATIONS,
-    tolerance: float = 1e-4,
+    tolerance: float = MINIMUM,
 ) -> Fit:
     """:func:`fit_normal` of whitened residuals (m,), predicted less measured, and their derivative (m, p), at x."""
     return fit_normal(lambda x: Normal.of(*predict(x)), start, prior_mean, prior_information, iterations, tolerance)
@@ -253,8 +254,8 @@ def fit_normal(
     prior_mean: FloatArray,
     prior_information: FloatArray,
     iterations: int = ITERATIONS,
-    tolerance: float = 1e-4,
-    damping: float = 1e-3,
+    tolerance: float = MINIMUM,
+    damping: float = DAMPING,
 ) -> Fit:
     """Minimises ``|r(x)|^2 + (x - x0)' L (x - x0)`` by a :class:`Descent`.
 

@@ -1,9 +1,8 @@
 """What decides: how often a healthy flight may be doubted or refused by chance, and what may be wrong before a flight.
 
 Limits by chance, and the odds and sizes of faults, are here, each with its source; floors of physics and limits of
-convergence stand where they are used. So do two limits by chance that are not of the budget: from which on a change of
-the payload is suspected (:mod:`onboard.estimation.change`), and a kind of correction doubted, in a fit of the whole
-flight (:mod:`onboard.identification.whole_flight.witnesses`).
+convergence stand where they are used. So does a limit by chance that is not of the budget: from which on a kind of
+correction is doubted, in a fit of the whole flight (:mod:`onboard.identification.whole_flight.witnesses`).
 
 A flight's answer is put to several tests, and a test looks several times: at each correction, instrument, block or
 reading. Each look has the chance that keeps that of any alarm within the budget (Šidák, J. Am. Stat. Assoc. 62, 1967).
@@ -26,6 +25,8 @@ LIKELY_PLACE_m = 0.01
 FARTHEST_SIZE = 3.0
 """In these sigmas; chance exceeds it in 0.3 % of the cases. A larger error is of another kind (a dead cell, a wrong
 sign, half the gain) that no linear model explains: an instrument with such an error is left out entirely."""
+LARGEST_SIZE = FARTHEST_SIZE * LIKELY_SIZE
+"""Of such an error: a calibration, or an edge of a rig, that is farther off is a wrong unit, sign, range or part."""
 ODDS = 1e-2
 """Prior odds that a body, or an instrument's scale, is so wrong, against the file as stated: one flight in a hundred.
 The hypothesis becomes the more probable one from 4.6 nats of evidence on."""

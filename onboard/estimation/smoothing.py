@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.arrays import TINY, BoolArray, FloatArray
 from onboard.estimation.errors import RowError
 from onboard.native import library, structures
 
@@ -33,7 +33,6 @@ ORDER = 8  # of the B-spline: degree 7, so that its fourth derivative, needed fo
 _MU2 = 1.0 / (12.0 * ORDER)  # second moment of B on a full width of one
 _MIN_SAMPLES = 5
 _CHUNK_CELLS = 200_000
-_TINY = float(np.finfo(np.float64).tiny)
 _FORGOTTEN = 40.0  # delays of a filter after which a sample tells nothing of another
 
 
@@ -260,7 +259,7 @@ class SmoothingWindow:
             weights[np.arange(ticks.size), near] += 1.0
             under = np.minimum(self._low[ticks, None] + np.arange(self._length), self.samples - 1)
             off = np.einsum("nl,nlc->nc", weights, values[under])
-            out[ticks] = off / np.sqrt(np.maximum((weights**2).sum(axis=1), _TINY))[:, None]
+            out[ticks] = off / np.sqrt(np.maximum((weights**2).sum(axis=1), TINY))[:, None]
         return out
 
 

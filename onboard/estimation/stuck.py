@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.arrays import BoolArray
+from onboard.estimation.jumps import TRAVELS
 from onboard.estimation.policy import READING
 
 _SHORTEST = 4  # equal readings that are a run of a travelling joint's
 _TRAVEL = 8.0  # counts a sample, below which a joint may come to rest from one sample to the next
-_JUMP = 2.5  # times its neighbours' steps, which no joint's acceleration makes of rest
 NONE = slice(0, 0)
 _RUNS = 6  # that are kept for the next readings: the speed before a run, and what comes after it
 
@@ -131,5 +131,5 @@ class StuckReadings:
                 found[k] = min(abs(before), abs(due)) >= _TRAVEL and before * due > 0.0
             if k + 2 < len(values) or (k + 2 == len(values) and lengths[k + 1] > 1):
                 after = abs(step[k + 1]) if lengths[k + 1] == 1 else 0.0
-                found[k] |= abs(step[k]) > _TRAVEL + _JUMP * after
+                found[k] |= abs(step[k]) > _TRAVEL + TRAVELS * after
         return found

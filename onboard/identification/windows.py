@@ -15,7 +15,6 @@ from onboard.estimation.policy import MOST_CONTRADICTED
 from onboard.estimation.recursive.consistency import NoiseScale, noise_scale
 
 WINDOW_s = 5.0  # of a state that begins anew: what a guess is off by grows in it, where a body tumbles
-PAUSE = 3.0  # usual steps of time: across a longer one samples are missing, and a body has moved by itself
 SHORTEST = round(1.0 / MOST_CONTRADICTED)  # ticks, poses or steps that tell something: of fewer, one is a larger share
 STAGES_s = (4.0,)  # parts of a segment or run that are fitted first: from a poor guess most fits of all get nowhere
 

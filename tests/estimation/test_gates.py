@@ -72,17 +72,20 @@ def test_residual_gate_refuses_outliers_among_good_rows(rng):
     assert gate.spread == pytest.approx(1.0, abs=0.25)
 
 
-def test_residual_gate_needs_a_spread_first():
-    gate = gates.ResidualGate(6.0, minimum=10)
+def test_rows_that_all_contradict_the_estimate_are_used_from_the_first_on_and_an_outlier_from_the_third_on_is_not():
+    gate = gates.ResidualGate(6.0)
     assert gate.spread == 1.0
     for _ in range(9):
         assert gate.check(np.array([100.0]), np.ones(1))[0] == 0
+    gate = gates.ResidualGate(6.0)
+    verdicts = [gate.check(np.array([one]), np.ones(1))[0] for one in (1.0, 1.0, 100.0)]
+    assert verdicts == [0, 0, gates.GateReason.RESIDUAL]
 
 
 def test_the_spread_is_of_the_newest_innovations_however_they_came(rng):
     innovation = rng.normal(size=70)
     for step in (1, 3, 7):
-        gate = gates.ResidualGate(6.0, memory=20, minimum=5)
+        gate = gates.ResidualGate(6.0, memory=20)
         for first in range(0, 70, step):
             some = innovation[first : first + step]
             gate.check(some, np.ones(some.size))
@@ -130,7 +133,7 @@ def test_huber_bounds_the_pull_of_a_row(rng):
     np.testing.assert_allclose(gate.widening(np.array([limit, 4 * limit]), np.ones(2)), [1.0, 2.0])
 
 
-@pytest.mark.parametrize("arguments", [(0.0,), (6.0, 10, 20), (6.0, 10, 0), (6.0, 10, 5, 0.0), (6.0, 10, 5, 6.0)])
+@pytest.mark.parametrize("arguments", [(0.0,), (6.0, 0), (6.0, 10, 0.0), (6.0, 10, 6.0)])
 def test_impossible_gates_are_refused(arguments):
     with pytest.raises(RowError):
         gates.ResidualGate(*arguments)

@@ -24,6 +24,11 @@ class RigidBody(NamedTuple):
     inertia_kg_m2: FloatArray  # (3, 3) about the centre of mass
 
 
+def sphere_radius_m(mass_kg: float) -> float:
+    """Of a sphere of 500 kg/m^3, half water's density: the guess of a body of unknown size; zero without a mass."""
+    return float((0.75 * max(mass_kg, 0.0) / (np.pi * 500.0)) ** (1.0 / 3.0))
+
+
 def symmetric(elements: FloatArray) -> FloatArray:
     """Elements ``XX XY YY XZ YZ ZZ``, (6,), as a tensor, (3, 3); the order of :mod:`onboard.dynamics.model.vehicle`."""
     xx, xy, yy, xz, yz, zz = elements

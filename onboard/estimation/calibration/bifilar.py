@@ -20,12 +20,11 @@ from scipy.integrate import ODEintWarning, odeint
 from scipy.optimize import least_squares
 from scipy.signal import periodogram
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import PAUSE, FloatArray
 from onboard.estimation.errors import CalibrationError
 
 LARGEST_ANGLE_rad = np.deg2rad(75.0)
 FEWEST_SWINGS = 5.0
-HOPELESS = 0.2  # the same while the fit is still on its way
 INTEGRATION = 1e-11  # relative: its steps jump with the parameters, by 1e-8 enough to stop the fit 0.05 sigma off
 SENSITIVITY = 1e-7  # the same of the derivatives by the parameters, which only point the way and weigh the noise
 WORST_RESIDUAL = 0.02  # of the rate's rms; beyond, something else than a pendulum moved
@@ -109,7 +108,7 @@ def swing(
 def _check(t: FloatArray, w: FloatArray, suspension: Suspension) -> None:
     if t.ndim != 1 or t.shape != w.shape or len(t) < 50 or not (np.isfinite(t).all() and np.isfinite(w).all()):
         raise CalibrationError("give 50 or more finite samples of time and rate, of equal length")
-    if not (np.diff(t) > 0.0).all() or float(np.diff(t).max()) > 5.0 * float(np.median(np.diff(t))):
+    if not (np.diff(t) > 0.0).all() or float(np.diff(t).max()) > PAUSE * float(np.median(np.diff(t))):
         raise CalibrationError("the samples' times go back or have a gap; take a run without gaps")
     if not (min(suspension[:3]) > 0.0 and min(suspension[3:6]) >= 0.0 and suspension.gravity_m_s2 > 0.0):
         raise CalibrationError("mass, string spacing and length must be positive, their sigmas zero or more")
@@ -166,7 +165,7 @@ def _fitted(
         found = least_squares(residual, x, slopes, x_scale=unit[: x.size], max_nfev=50, ftol=fine)
         x = np.asarray(found.x, np.float64)
         rms = float(np.sqrt(np.mean(found.fun[:-1] ** 2)))
-        if not x[0] > 0.0 or rms > (WORST_RESIDUAL if part.all() else HOPELESS) * size:
+        if not x[0] > 0.0 or (part.all() and rms > WORST_RESIDUAL * size):
             raise CalibrationError(
                 f"{100.0 * rms / size:.1f} % of the rate is no pendulum's swing; let the body go without a push, and "
                 "keep it from swinging sideways"

@@ -12,10 +12,9 @@ import numpy as np
 
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
-from onboard.estimation.policy import REFUSE, of_each, sigmas
+from onboard.estimation.policy import LARGEST_SIZE, REFUSE, of_each, sigmas
 
 EARTH_RATE_rad_s = 7.292115e-5
-LARGEST_SCALE = 0.2  # beyond, a unit or a range is wrong and not a calibration
 
 
 class TriadCalibration(NamedTuple):
@@ -32,8 +31,8 @@ def six_positions(
     specific_force_m_s2: FloatArray,
     up: FloatArray,
     gravity_m_s2: float,
-    fixture_sigma_rad: float = 1e-3,
-    reading_sigma_m_s2: float = 1e-3,
+    fixture_sigma_rad: float,
+    reading_sigma_m_s2: float,
 ) -> TriadCalibration:
     """Accelerometer from its mean readings at rest; at rest the specific force is g upwards.
 
@@ -58,8 +57,8 @@ def turns(
     angle_rad: FloatArray,
     axis: FloatArray,
     integral_rad: FloatArray,
-    fixture_sigma_rad: float = 1e-3,
-    sigma_rad: float = 1e-3,
+    fixture_sigma_rad: float,
+    sigma_rad: float,
 ) -> TriadCalibration:
     """Gyro from turns by known angles, whole turns on a table say; its bias is zero here, see :func:`rest_bias`.
 
@@ -138,7 +137,7 @@ def _triad(
         spread[:n, axis] = np.sqrt(np.diag(inverse))
         whitened[:, axis] = b - A @ x[:n, axis]
     scale = np.diag(x[:3])
-    if (np.abs(scale - 1.0) > LARGEST_SCALE).any():
+    if (np.abs(scale - 1.0) > LARGEST_SIZE).any():
         raise CalibrationError(
             f"{kind}: a scale of {scale[np.abs(scale - 1.0).argmax()]:.3g}; check axes, signs, units and ranges"
         )

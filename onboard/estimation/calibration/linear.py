@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import OF_STEP, FloatArray
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import REFUSE, of_each
 
@@ -70,16 +70,14 @@ class EncoderScale(NamedTuple):
     zero_sigma: float
 
 
-def encoder(
-    angle_rad: FloatArray, counts: FloatArray, angle_sigma_rad: float, count_sigma: float = 0.3
-) -> EncoderScale:
+def encoder(angle_rad: FloatArray, counts: FloatArray, angle_sigma_rad: float) -> EncoderScale:
     """From counts at known angles, the two stops say.
 
     Raises:
         CalibrationError: as :func:`line`.
     """
     n = len(np.asarray(angle_rad))
-    found = line(np.asarray(angle_rad), np.asarray(counts), np.full(n, angle_sigma_rad), np.full(n, count_sigma))
+    found = line(np.asarray(angle_rad), np.asarray(counts), np.full(n, angle_sigma_rad), np.full(n, OF_STEP))
     turn = 2.0 * np.pi
     return EncoderScale(found.slope * turn, found.slope_sigma * turn, found.offset, found.offset_sigma)
 

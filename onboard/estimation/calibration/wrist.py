@@ -42,7 +42,7 @@ from onboard.estimation.calibration.wrist_model import (
 from onboard.estimation.errors import CalibrationError
 from onboard.estimation.policy import READING
 
-_FEWEST = 4  # poses: fewer leave nothing over that could show noise
+FEWEST = 4  # poses: fewer leave nothing over that could show noise
 _WIDE = 10.0  # prior sigma of mass and first moment over what the largest reading makes
 SPREADS = np.geomspace(0.5, 16.0, 16)  # of the scales, over what is stated: what all share their agreement hides
 _SPREAD_FACTOR = np.log(3.0)  # 1 sigma of the spread's logarithm: data sheets give limits, by range, and not sigmas
@@ -160,8 +160,8 @@ def fit(R: FloatArray, wrench: FloatArray, prior: Priors, rounds: int = _ROUNDS)
     Raises:
         CalibrationError: too few poses, or readings that are not finite.
     """
-    if len(R) < _FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
-        raise CalibrationError(f"{len(R)} poses: give {_FEWEST} or more, each with an orientation and six readings")
+    if len(R) < FEWEST or R.shape[1:] != (3, 3) or wrench.shape != (len(R), 6) or not np.isfinite(wrench).all():
+        raise CalibrationError(f"{len(R)} poses: give {FEWEST} or more, each with an orientation and six readings")
     return _rounds(_Readings.of(R, wrench), prior, rounds, None)
 
 
@@ -258,7 +258,7 @@ def outliers(R: FloatArray, wrench: FloatArray, prior: Priors) -> NDArray[np.boo
         level = _medians(residual)
         left = residual - level
         z = left / np.maximum(scatter(left), _floor(wrench))
-        kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(_FEWEST, (3 * n) // 4)])
+        kept = np.sort(np.argsort(np.abs(z).max(axis=1))[: max(FEWEST, (3 * n) // 4)])
     freedom = max(1.0, n - 4.0)
     return np.asarray((2.0 * stdtr(freedom, -np.abs(z)) < READING).any(axis=1))
 

@@ -43,16 +43,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, eigen
+from onboard.estimation.arrays import TINY, BoolArray, FloatArray, IndexArray, eigen
 from onboard.estimation.errors import RowError
-from onboard.estimation.policy import DOUBT, HALF, INTERVAL, of_each, sigmas
+from onboard.estimation.policy import DOUBT, HALF, INTERVAL, MOST_SHARE, of_each, sigmas
 from onboard.estimation.recursive.blocks import TimeBlocks
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
 _FEWEST = 3  # blocks in a period: neighbours are alike for other reasons, and two phases have no scatter
-MOST_NOISE = 0.9  # largest share of noise in a direction's information; above it the direction falls back to the prior
+MOST_NOISE = MOST_SHARE  # of a direction's information; above it the direction falls back to the prior
 NOISE_SIGMA = 0.2  # relative, of the stated power of the regressor's noise
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 @lru_cache(maxsize=8)
@@ -417,7 +416,7 @@ def _corrected(rls: SquareRootRls, blocks: BlockScores) -> _Corrected:
     of_prior, prior_right = ((rls.prior_root @ T) ** 2).sum(axis=0), rls.prior_equations()[1]
     signal = noise < MOST_NOISE
     noise = np.where(signal, np.maximum(noise, 0.0), 0.0)
-    keep = np.where(signal, 1.0 - noise, np.maximum(of_prior, _TINY))
+    keep = np.where(signal, 1.0 - noise, np.maximum(of_prior, TINY))
     shared = T.T @ blocks.noise_moment
     x = np.where(signal, R @ plain.mean - shared, T.T @ prior_right) / keep
     return _Corrected(T @ x, plain, T, R, noise, x, keep, signal, shared)

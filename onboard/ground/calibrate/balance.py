@@ -11,6 +11,7 @@ from onboard.devices.roles import LoadCellKeys
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import Balanced, balance
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import LIKELY_SIZE
 from onboard.flight.estimate.problem.model import build_model, drawn_body
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.place import Gravity
@@ -19,7 +20,6 @@ from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyCh
 from onboard.section import Positive, Section, Vector3
 
 UNLOADED = 0.02  # of the largest reading: between two orientations the body is lifted off the cell
-TILT_rad = 0.09  # the IMU's idea of up, against the rig's
 
 
 class Orientation(Section):
@@ -105,7 +105,7 @@ def _solved(
     gravity = -place.gravity_m_s2 * columns["up"]
     given = (gravity, columns["pivot_m"], columns["hinge"], columns["support_m"], columns["push"], force)
     read_N = float(np.sqrt(np.mean([spread[0] ** 2 for _, spread in means])))
-    rough = balance(*given, max(read_N, 0.02 * float(np.abs(force).max())))
+    rough = balance(*given, max(read_N, UNLOADED * float(np.abs(force).max())))
     misplaced = rough.mass_kg * place.gravity_m_s2 * held.place_sigma_m / np.where(lever > 0.0, lever, np.inf)
     sigma = float(np.hypot(read_N, np.sqrt(np.mean(misplaced**2)) * np.sqrt(2.0)))
     return balance(*given, sigma), sigma
@@ -134,7 +134,7 @@ def _require_up(imu: Readings, vehicle: config.Vehicle, held: Rig, read: Reading
         up = R_BS @ imu.values[seen, 3:6].mean(axis=0)
         wanted = np.array(one.up) / np.linalg.norm(one.up)
         angle = float(np.arccos(np.clip(up @ wanted / np.linalg.norm(up), -1.0, 1.0)))
-        if angle > TILT_rad:
+        if angle > LIKELY_SIZE:
             raise CalibrationError(
                 f"orientation {number} at {span}: the IMU has up at ({', '.join(f'{v:.2f}' for v in up)}) m/s^2, "
                 f"{np.rad2deg(angle):.0f} deg from the rig file's; check the order and the axes"

@@ -12,6 +12,7 @@ from onboard.devices.roles import ImuRole
 from onboard.dynamics.model.inertia import elements
 from onboard.estimation.arrays import FloatArray, eigen
 from onboard.estimation.calibration.bifilar import (
+    FEWEST_SWINGS,
     AxisErrors,
     BifilarSwing,
     Suspension,
@@ -20,6 +21,7 @@ from onboard.estimation.calibration.bifilar import (
     swing,
 )
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import MOST_CONTRADICTED
 from onboard.flight.estimate.problem.model import build_model, drawn_body
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.readings import LogSpan, Readings, still
@@ -141,12 +143,10 @@ def _hang(read: Readings, span: LogSpan, R_BS: FloatArray, suspension: Suspensio
     if not read.usable[part].all():
         raise CalibrationError(f"the gyro is saturated in the swing at {span}; begin with a smaller angle")
     t, rate = _thinned(read.time_s[part], read.values[part, :3])
-    if len(t) < 100:
-        raise CalibrationError(f"{len(t)} samples in the swing at {span}; record faster, or longer")
     middle = rate - rate.mean(axis=0)
     strength, directions = eigen(middle.T @ middle)
     axis = directions[:, -1]
-    if strength[-1] < 25.0 * strength[-2]:
+    if strength[-2] > MOST_CONTRADICTED * strength[-1]:
         raise CalibrationError(
             f"the body swings about several axes at {span}; let it go without a push, and keep it from swinging "
             "sideways"
@@ -174,7 +174,7 @@ def _free(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     large = 0.1 * float(np.abs(level).max())
     each = zip([0, *crossings], crossings, [*crossings[1:], len(t) - 1], strict=False)
     kept = [c for a, c, b in each if min(np.abs(level[a : c + 1]).max(), np.abs(level[c : b + 1]).max()) > large]
-    if len(kept) < 8:
+    if len(kept) < 2.0 * FEWEST_SWINGS:
         return t, rate
     part = slice(int(kept[3]), int(kept[-2]))
     return t[part], rate[part]

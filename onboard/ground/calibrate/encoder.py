@@ -7,13 +7,12 @@ import numpy as np
 
 from onboard import config
 from onboard.devices.base import JointDevice
+from onboard.estimation.arrays import OF_STEP
 from onboard.estimation.calibration.linear import encoder
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import DOUBT, LARGEST_SIZE, sigmas
 from onboard.ground.calibrate.readings import LogSpan, Readings, steps
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, two_digits
-
-AGREES = 3.0  # sigmas of the counts per turn
-LARGEST = 0.2
 
 
 class Stops(NamedTuple):
@@ -52,17 +51,17 @@ def calibrate_encoder(
     found = encoder(angles, counts, stops.sigma_rad)
     gain = found.counts_per_revolution / nominal
     gain_sigma = found.counts_sigma / abs(nominal)
-    if abs(abs(gain) - 1.0) > LARGEST:
+    if abs(abs(gain) - 1.0) > LARGEST_SIZE:
         raise CalibrationError(
             f"{found.counts_per_revolution:.0f} counts a turn where the file has {nominal}; check the angles, deg, and "
             "the gear"
         )
     turned = gain < 0.0
-    agrees = abs(abs(gain) - 1.0) < AGREES * gain_sigma
+    agrees = abs(abs(gain) - 1.0) < sigmas(DOUBT) * gain_sigma
     kept = -1.0 if turned else 1.0
     slope = (kept if agrees else gain) * per_rad
     weight = np.mean(counts - slope * angles)
-    zero_sigma = float(np.hypot(stops.sigma_rad * per_rad, 0.3) / np.sqrt(len(angles)))
+    zero_sigma = float(np.hypot(stops.sigma_rad * per_rad, OF_STEP) / np.sqrt(len(angles)))
     if not agrees:
         zero_sigma = max(zero_sigma, found.zero_sigma)
     result = Calibration(
@@ -76,9 +75,8 @@ def calibrate_encoder(
     if turned:
         result.notes.append("it counts against the joint: gain is negative")
     if agrees:
-        result.notes.append(
-            f"its counts per turn agree with the file within {AGREES:g} sigmas ({100.0 * gain_sigma:.2g} %): kept"
-        )
+        within = f"{sigmas(DOUBT):.2g} sigmas ({100.0 * gain_sigma:.2g} %)"
+        result.notes.append(f"its counts per turn agree with the file within {within}: kept")
         if kept != section.gain:
             result.changes.append(KeyChange(table, "gain", kept))
     else:

@@ -8,9 +8,10 @@ import numpy as np
 
 from onboard import config
 from onboard.devices.base import ImuDevice
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import PAUSE, FloatArray
 from onboard.estimation.calibration.imu import RestBias, TriadCalibration, rest_bias, six_positions, turns
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import LARGEST_SIZE
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.calibrate.allan import Allan, allan_deviation
 from onboard.ground.calibrate.place import Gravity
@@ -18,10 +19,8 @@ from onboard.ground.calibrate.readings import LogSpan, Readings, still
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, rounded, stated, two_digits
 
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
-_UPRIGHT = 0.97  # cosine: within 14 deg of a face
 _TURNING_rad_s = np.deg2rad(5.0)  # a steady turn about the vertical looks still but for this
-_LONGEST_GAP = 5.0  # periods
-_CARRIED = 0.5  # cosine: a scale that is 20 % wrong leaves 36 deg of half a turn
+_CARRIED = np.cos(np.pi * LARGEST_SIZE)  # what a wrong scale leaves of half a turn
 
 
 class ImuOptions(NamedTuple):
@@ -107,7 +106,7 @@ def _positions(read: Readings, at: Sequence[LogSpan]) -> list[_Position]:
         force = mean[ACCEL]
         size = float(np.linalg.norm(force))
         axis = int(np.abs(force).argmax())
-        if not size > 0.0 or abs(force[axis]) < _UPRIGHT * size:
+        if not size > 0.0 or abs(force[axis]) < np.cos(LARGEST_SIZE) * size:
             direction = ", ".join(f"{part:.2f}" for part in force / max(size, 1e-9))
             raise CalibrationError(
                 f"at {span} it lies on no face: up is ({direction}) in its axes; hold it on its faces, or leave that "
@@ -194,11 +193,11 @@ def _turns(read: Readings, positions: list[_Position], turn_rad: float) -> tuple
         times = round(about / turn_rad)
         if not times:
             continue
-        if np.diff(t).max() > _LONGEST_GAP * period:
+        if np.diff(t).max() > PAUSE * period:
             raise CalibrationError(f"samples are missing in the turn at {span}; repeat the run")
         if not read.usable[part].all():
             raise CalibrationError(f"the gyro is saturated in the turn at {span}; turn slower")
-        if abs(about - times * turn_rad) > 0.25 * turn_rad:
+        if abs(about - times * turn_rad) > LARGEST_SIZE * turn_rad:
             raise CalibrationError(
                 f"the turn at {span} goes {np.rad2deg(about):.0f} deg, which is no multiple of "
                 f"{np.rad2deg(turn_rad):.0f} deg; turn it whole, or give --turn-deg"

@@ -10,11 +10,10 @@ from onboard.devices.roles import LoadCellKeys
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.calibration.linear import line
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import LARGEST_SIZE
 from onboard.ground.calibrate.place import Gravity
 from onboard.ground.calibrate.readings import LogSpan, Readings, require_within, steps
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
-
-GAIN = 0.25  # a scale further off is a wrong unit or mass
 
 
 class HungMasses(NamedTuple):
@@ -79,7 +78,7 @@ def calibrate_load_cell(
     if hung.arm_m is not None:
         _lever(result, table, section, hung, found.slope, common)
     else:
-        if abs(found.slope - 1.0) > GAIN:
+        if abs(found.slope - 1.0) > LARGEST_SIZE:
             raise CalibrationError(
                 f"it reads {found.slope:.3g} N for a newton; check the masses, kg, the unit, and how the cell is held"
             )
@@ -101,7 +100,7 @@ def _lever(
         raise CalibrationError("it reads less for more mass; turn the joint so that they pull the other way")
     lever = hung.arm_m / slope
     sigma = lever * float(np.hypot(common, hung.arm_sigma_m / hung.arm_m))
-    if abs(lever / section.lever_m - 1.0) > GAIN:
+    if abs(lever / section.lever_m - 1.0) > LARGEST_SIZE:
         raise CalibrationError(
             f"a lever of {1e3 * lever:.4g} mm where the file has {1e3 * section.lever_m:.4g} mm; check --arm-m, the "
             "masses, and lever_m in the file"

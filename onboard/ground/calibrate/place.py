@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-STANDARD_m_s2, ANYWHERE_m_s2 = 9.80665, 0.015  # on the ground it is between 9.78 and 9.83
+from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2
+
+ANYWHERE_m_s2 = 0.015  # on the ground it is between 9.78 and 9.83
 ANOMALY_m_s2 = 5e-4  # of the ground below, 50 mGal
 _PER_METRE = 3.086e-6
 
@@ -23,7 +25,7 @@ def place(latitude_deg: float | None, height_m: float = 0.0) -> Gravity:
         ValueError: no latitude or height on Earth.
     """
     if latitude_deg is None:
-        return Gravity(STANDARD_m_s2, ANYWHERE_m_s2)
+        return Gravity(STANDARD_GRAVITY_M_S2, ANYWHERE_m_s2)
     if not (abs(latitude_deg) <= 90.0 and -500.0 <= height_m <= 9000.0):
         raise ValueError(f"latitude {latitude_deg:g} deg, height {height_m:g} m: no place on Earth; correct them")
     square = np.sin(np.deg2rad(latitude_deg)) ** 2

@@ -16,6 +16,7 @@ from onboard.devices.base import BusDevice
 from onboard.devices.roles import SmoothedChannel
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import READING, sigmas
 from onboard.flight.bench import BEGIN, END
 from onboard.flight.estimate.readings.roles import roles_of
 from onboard.ground.log.tables.flight_tables import FlightTables
@@ -244,7 +245,7 @@ def steps(read: Readings, at: Sequence[LogSpan], count: int, what: str) -> list[
     for span in spans[1:]:
         (before, a), (now, b) = read.mean(merged[-1]), read.mean(span)
         between = read.values[read.within(LogSpan(merged[-1].end_s, span.start_s))]
-        apart = np.abs(now - before) > np.maximum(6.0 * np.hypot(a, b), 2.0 * read.resolution)
+        apart = np.abs(now - before) > np.maximum(sigmas(READING) * np.hypot(a, b), 2.0 * read.resolution)
         left = len(between) and (np.abs(between - before) > 30.0 * np.maximum(a, read.resolution)).any()
         if apart.any() or at or read.spans or left:
             merged.append(span)

@@ -15,13 +15,10 @@ from scipy.special import chdtrc
 from onboard import config
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import CalibrationError
-from onboard.estimation.policy import REFUSE, of_each
+from onboard.estimation.policy import LIKELY_SIZE, MOSTLY, REFUSE, of_each, sigmas
 from onboard.flight.estimate.problem.model import build_model, drawn_body
 from onboard.ground.calibrate.result import CalibratedNumber, Calibration, KeyChange, stated, two_digits
 from onboard.section import NotNegative, Positive, Section, Vector3
-
-_SQUARE = 0.5  # sine of the angle between an edge and up, at the least
-_TOLD = 0.5  # of the drawing's sigma: a coordinate whose sigma is larger was not measured
 
 
 class KnifeEdge(Section):
@@ -109,7 +106,7 @@ def balance_part(vehicle: config.Vehicle, link: str, held: PartRig) -> Calibrati
         )
         return result
     result.changes.append(KeyChange(table, "centre_m", two_digits(float(sigma.max()))))
-    if untold := ["xyz"[k] for k in range(3) if sigma[k] > _TOLD * known.centre_m]:
+    if untold := ["xyz"[k] for k in range(3) if sigma[k] > MOSTLY * known.centre_m]:
         result.notes.append(
             f"{', '.join(untold)} of the centre was not measured: it is the drawing's, and centre_m stays as wide; "
             "turn the part and measure along it, too"
@@ -148,7 +145,7 @@ def _edges(held: PartRig) -> Iterator[_Row]:
         name = f"edge {number}"
         across = np.cross(_unit(one.up, f"{name}: up"), _unit(one.edge, f"{name}: edge"))
         sine = float(np.linalg.norm(across))
-        if sine < _SQUARE:
+        if sine < MOSTLY:
             raise CalibrationError(f"{name}: the edge is to be level, and is along up; correct the rig file")
         yield _Row(name, across / sine, float(across / sine @ np.array(one.point_m)), held.place_sigma_m)
 
@@ -159,14 +156,15 @@ def _scales(held: PartRig) -> Iterator[_Row]:
         read = np.array(one.read_kg or [], np.float64)
         if len(read) != len(one.supports_m):
             raise CalibrationError(f"{name}: give read_kg, a number for each of {len(one.supports_m)} supports")
-        if not read.sum() > 3.0 * held.read_sigma_kg or read.min() < -3.0 * held.read_sigma_kg:
+        least = sigmas(REFUSE) * held.read_sigma_kg
+        if not read.sum() > least or read.min() < -least:
             raise CalibrationError(f"{name} reads {read.tolist()} kg; tare it, and check its unit and its sign")
         up, places = _unit(one.up, f"{name}: up"), np.array(one.supports_m, np.float64)
         level = np.eye(3) - np.outer(up, up)
         apart = (places - places.mean(axis=0)) @ level
         ways = np.linalg.svd(apart)[2][: len(read) - 1]
         spread = apart @ ways.T
-        if np.linalg.svd(spread, compute_uv=False).min() < 10.0 * held.place_sigma_m:
+        if np.linalg.svd(spread, compute_uv=False).min() < held.place_sigma_m / LIKELY_SIZE:
             raise CalibrationError(f"{name}: its supports lie in a line or above each other; put them apart")
         share = read / read.sum()
         for which, way in enumerate(ways):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.dynamics.floating import Floating, predict_floating
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import OF_STEP, FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.estimation.maximum_likelihood import ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
 from onboard.estimation.policy import MISFIT_REFUSED, MOSTLY, ODDS_OF_PART
@@ -70,7 +70,7 @@ def windows_of(poses: TrackedPoses, noise: FloatArray, longest_s: float) -> Pose
         ConvergenceError: there is none.
     """
     kept, (begin_s, last_s) = list[slice](), poses.known_s
-    moved = np.gradient(poses.measured, poses.time_s, axis=0) * poses.late_s / np.sqrt(12.0)
+    moved = np.gradient(poses.measured, poses.time_s, axis=0) * poses.late_s * OF_STEP
     at_s, end_s = max(float(poses.time_s[0]), begin_s + longest_s), min(float(poses.time_s[-1]), last_s)
     while at_s < end_s and len(kept) < _MOST_WINDOWS:
         until_s = min(at_s + WINDOW_s, end_s)

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from onboard.estimation.arrays import BoolArray, FloatArray, scatter
+from onboard.estimation.arrays import PAUSE, BoolArray, FloatArray, scatter
 from onboard.estimation.policy import MOSTLY, READING, sigmas
-from onboard.identification.windows import PAUSE
 
 _BESIDE = 9  # steps of a median
 _LONGEST_s = 1.0  # that a tracker is elsewhere, unless it repeats one pose

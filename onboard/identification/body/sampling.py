@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import OF_STEP, FloatArray
 from onboard.identification.body.stated import Edges
 
 _NEGLIGIBLE = 0.1  # of the noise: a direction with so little more, half a per cent of a sigma, is left as it is
@@ -79,7 +79,7 @@ def by_steps(motion: DrivenWindow, steps: Sequence[Edges], each: FloatArray, tim
     for (edge_s, change, late_s), own in zip(steps, each, strict=True):
         inside = (edge_s > motion.grid_s[0]) & (edge_s < time_s[-1]) & (late_s > 0.0)
         at.append(edge_s[inside])
-        by.append((-change * late_s / np.sqrt(12.0))[inside, None] * own)
+        by.append((-OF_STEP * change * late_s)[inside, None] * own)
     edge_s, slower = np.concatenate(at), np.concatenate(by)  # (e,), (e, 3)
     h = np.diff(motion.grid_s)
     middle = motion.grid_s[:-1] + 0.5 * h

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from onboard.dynamics.model.errors import SignalError
-from onboard.dynamics.model.inertia import RigidBody
+from onboard.dynamics.model.inertia import RigidBody, sphere_radius_m
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
@@ -19,8 +19,8 @@ _POSE_TICKS = 100  # for the first pose
 
 
 def _ball(mass_kg: float) -> RigidBody:
-    """A homogeneous sphere of 500 kg/m^3 touching the payload frame's origin."""
-    radius_m = (0.75 * mass_kg / (500.0 * np.pi)) ** (1.0 / 3.0)
+    """A homogeneous sphere that touches the payload frame's origin."""
+    radius_m = sphere_radius_m(mass_kg)
     return RigidBody(mass_kg, np.array([0.0, 0.0, radius_m]), 0.4 * mass_kg * radius_m**2 * np.eye(3))
 
 

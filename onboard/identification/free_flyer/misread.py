@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from onboard.dynamics.kinematics import Bodies, Frames, LinkMotion, chain_motion, motions_of, wrench_columns
-from onboard.dynamics.model.vehicle import VehicleModel
+from onboard.dynamics.model.vehicle import STANDARD_GRAVITY_M_S2, VehicleModel
 from onboard.dynamics.ticks import FlightSignals
 from onboard.estimation.arrays import FloatArray
 from onboard.estimation.maximum_likelihood import ROUNDS
@@ -30,13 +30,12 @@ _UNKNOWN = 10 + 3  # of a payload and of the accelerometer's zero
 _FEWEST = 2 + np.ceil(_UNKNOWN / 6)  # widths in a recording: both ends are cut off, and each tells six lines anew
 _MOST_SAID = 3
 _NOISE_SEED = 1
-_G_m_s2 = 9.80665
 _UNITS = (  # of gyro and accelerometer, and what they are to be multiplied by
     (np.pi / 180.0, 1.0, "the gyro is in deg/s"),
     (180.0 / np.pi, 1.0, "the gyro is in rad/s, and not in deg/s"),
-    (1.0, _G_m_s2, "the accelerometer is in g"),
-    (1.0, 1e-3 * _G_m_s2, "the accelerometer is in mg"),
-    (1.0, 1.0 / _G_m_s2, "the accelerometer is in m/s^2, and not in g"),
+    (1.0, STANDARD_GRAVITY_M_S2, "the accelerometer is in g"),
+    (1.0, 1e-3 * STANDARD_GRAVITY_M_S2, "the accelerometer is in mg"),
+    (1.0, 1.0 / STANDARD_GRAVITY_M_S2, "the accelerometer is in m/s^2, and not in g"),
 )
 
 

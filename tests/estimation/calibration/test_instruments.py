@@ -22,7 +22,7 @@ def test_six_positions_cover(rng):
         E, bias = triad(rng)
         held = FACES + 5e-4 * rng.standard_normal((6, 3))
         held /= np.linalg.norm(held, axis=1, keepdims=True)
-        found = six_positions(G * held @ E.T + bias + 1e-3 * rng.standard_normal((6, 3)), FACES, G, 5e-4)
+        found = six_positions(G * held @ E.T + bias + 1e-3 * rng.standard_normal((6, 3)), FACES, G, 5e-4, 1e-3)
         inside += np.count_nonzero(np.abs(found.bias - bias) < 1.96 * found.bias_sigma)
         inside += np.count_nonzero(np.abs(found.matrix - E) < 1.96 * found.matrix_sigma)
         count += 3 + 9
@@ -34,7 +34,7 @@ def test_misalignment_is_a_rotation():
     turn = np.array([0.004, -0.003, 0.002])
     x, y, z = turn
     R = np.eye(3) - np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    found = six_positions(G * FACES @ R.T, FACES, G)
+    found = six_positions(G * FACES @ R.T, FACES, G, 1e-3, 1e-3)
     np.testing.assert_allclose(found.matrix, R, atol=1e-12)
 
 
@@ -52,7 +52,7 @@ def test_misalignment_is_a_rotation():
 def test_six_positions_that_are_wrong_are_refused(rng, spoil, message):
     E, bias = triad(rng)
     with pytest.raises(CalibrationError, match=message):
-        six_positions(*spoil(G * FACES @ E.T + bias), G)
+        six_positions(*spoil(G * FACES @ E.T + bias), G, 1e-3, 1e-3)
 
 
 def test_turns_give_the_scales_and_rests_the_bias(rng):
@@ -61,12 +61,12 @@ def test_turns_give_the_scales_and_rests_the_bias(rng):
     angle = 2.0 * np.pi * np.array([1, 1, 1, -1])
     axis = np.vstack([np.eye(3), [1, 0, 0]])
     read = (angle[:, None] * axis) @ E.T
-    found = turns(angle, axis, read)
+    found = turns(angle, axis, read, 1e-3, 1e-3)
     np.testing.assert_allclose(found.matrix, E, atol=1e-10)
     with pytest.raises(CalibrationError, match="not determined"):
-        turns(angle[:2], axis[:2], read[:2])
+        turns(angle[:2], axis[:2], read[:2], 1e-3, 1e-3)
     with pytest.raises(CalibrationError, match=r"turn [14] is"):
-        turns(angle, axis, read + 0.05 * np.eye(4)[3][:, None])
+        turns(angle, axis, read + 0.05 * np.eye(4)[3][:, None], 1e-3, 1e-3)
     per_g = 1e-3 * rng.standard_normal((3, 3))
     rest = rest_bias(FACES @ per_g.T + bias, FACES, 1e-5)
     np.testing.assert_allclose(rest.bias_rad_s, bias, atol=1e-12)
@@ -83,7 +83,7 @@ def test_turns_cover(rng):
         held = axis + 1e-3 * rng.standard_normal((6, 3))
         angle = np.array([1, 1, 1, -1, -1, -1]) * 2.0 * np.pi
         true = (angle + 1e-3 * rng.standard_normal(6))[:, None] * held / np.linalg.norm(held, axis=1, keepdims=True)
-        found = turns(angle, axis, true @ E.T)
+        found = turns(angle, axis, true @ E.T, 1e-3, 1e-3)
         inside += np.count_nonzero(np.abs(found.matrix - E) < 1.96 * found.matrix_sigma)
     assert inside / 900 > 0.93
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.records import Rows, Severity
 from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import OF_STEP, FloatArray
 from onboard.estimation.jumps import AngleJumps, Jump
 from onboard.estimation.stuck import NONE, StuckReadings, longest_run
 from onboard.regressor.signals import EncoderJump
@@ -122,7 +122,6 @@ def _longest(signal: SmoothedChannel, row: np.void) -> float:
 
 
 _EVERY = 1 << 31  # samples: more than are kept
-_ROUNDING = 1.0 / math.sqrt(12.0)  # counts, rms
 _FOLLOWED = "the angle goes on without it"
 
 
@@ -176,7 +175,7 @@ class JumpWatch:
             count = self._signal.quantum_counts * abs(
                 float(rows["scale"][0]) * self._signal.si.get(rows["unit"][0], 0.0)
             )
-            self._jumps = AngleJumps(max(self._signal.noise[0], _ROUNDING * count))
+            self._jumps = AngleJumps(max(self._signal.noise[0], OF_STEP * count))
         starts, found = breaks(rows, self._sequence), list[Jump]()
         self._sequence = int(rows["sequence"][-1])
         times = np.full(len(rows), np.nan) if times_ns is None else times_ns.astype(np.float64)

@@ -13,7 +13,7 @@ from drivers.records import Rows, Severity
 from onboard import config
 from onboard.devices import si
 from onboard.devices.roles import SmoothedChannel, TrackerRole
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import TINY, FloatArray
 from onboard.estimation.gates import GateReason, reasons, window_contains
 from onboard.estimation.smoothing import SPLINE, Kernel, Response, SmoothingWindow
 from onboard.flight.estimate.readings.at_ticks import ChannelAtTicks, nothing, side_by_side, tick_means
@@ -27,7 +27,6 @@ from onboard.timebase.timebase import Timebase
 
 HISTORY_S = 2.0
 TimesOf = Callable[[str, Rows], NDArray[np.int64] | None]
-_TINY = float(np.finfo(np.float64).tiny)
 CYCLIC_LEFT = 0.1  # of cyclic errors, where an estimator fits them: other harmonics, and what depends on the load
 
 
@@ -266,7 +265,7 @@ class SignalSmoother:
         sigma = np.hypot(sigma, moved)
         if derivatives:
             self._ripple(group, out[1], sigma)
-        of_samples /= np.maximum(sigma * sigma, _TINY)
+        of_samples /= np.maximum(sigma * sigma, TINY)
         found, column, cyclic = {}, 0, self._cyclic(group, values, window, derivatives)
         for name, recent in group.items():
             part = slice(column, column + recent.values.shape[1])

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from drivers.records import Batch, Rows, SampleStatus, Severity, event
 from onboard import config
 from onboard.devices.roles import ImuRole
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import TINY, FloatArray
 from onboard.estimation.policy import READING, sigmas
 from onboard.identification.quantities import Estimate, Findings
 
 _STEPS = 64  # temperatures kept: of some seconds
 _PLAUSIBLE_K = 100.0  # from the first temperature: data sheets of the chips span 125 K, -40 to 85 degrees Celsius
 _WARMER_K = 5.0  # more than a chip warms by itself after power-up
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 class Temperatures:
@@ -187,10 +186,10 @@ class Zeroing:
         assert self._settings is not None
         n, mean_k = self.ticks, self._sums[1, 0] / self.ticks
         mean = self._sums[0, 1:] / n
-        spread_k = max(self._temperature_square - n * mean_k * mean_k, _TINY)
+        spread_k = max(self._temperature_square - n * mean_k * mean_k, TINY)
         together = self._sums[1, 1:] - mean_k * self._sums[0, 1:]
         left = self._force_square - n * mean * mean - together * together / spread_k
-        scatter = np.maximum(left / n, _TINY)  # (3,) of a tick about the line of least squares
+        scatter = np.maximum(left / n, TINY)  # (3,) of a tick about the line of least squares
         prior = self._settings.drift_sigma_m_s2_k
         ridge = scatter * self._together / prior**2 if prior else np.zeros(3)  # (3,) K^2
         slope = together / (spread_k + ridge)

@@ -13,7 +13,7 @@ from onboard.estimation.calibration import wrist, wrist_model
 from onboard.estimation.policy import ODDS
 from onboard.ground.calibrate.weigh.conventions import Poses
 
-_PART = 6  # poses of a part: four are a fit, and two more show its noise
+PART = wrist.FEWEST + 2  # poses of a part: a fit, and two more that show its noise
 
 
 class BodyChange(NamedTuple):
@@ -41,7 +41,7 @@ def change(poses: Poses, prior: wrist_model.Priors, whole: wrist.PoseFit) -> Bod
         whole: one body for all of them.
     """
     n = len(poses.R)
-    instants = range(_PART, n - _PART + 1)
+    instants = range(PART, n - PART + 1)
     if not instants:
         return None
 

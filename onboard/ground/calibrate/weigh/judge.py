@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from onboard.dynamics.model.inertia import sphere_radius_m
 from onboard.estimation.policy import FARTHEST_SIZE, LIKELIER, MOSTLY, times_text
-from onboard.ground.calibrate.weigh.units import likelier, radius_m
+from onboard.ground.calibrate.weigh.units import likelier
 from onboard.ground.calibrate.weigh.weigh import Answer
 from onboard.identification.corrections import doubtful_from
 from onboard.identification.quantities import Findings, Size, Useful
@@ -34,7 +35,8 @@ def judge(answer: Answer) -> Judged:
     findings = _findings(answer)
     body = answer.quantities[:4]
     mass, centre = body[0].value, np.array([one.value for one in body[1:]])
-    size = float(np.sqrt(centre @ centre + 0.6 * radius_m(mass) ** 2))  # root mean square distance of a sphere's mass
+    # root mean square distance of a sphere's mass
+    size = float(np.sqrt(centre @ centre + 0.6 * sphere_radius_m(mass) ** 2))
     useful = Useful()
     sizes = {"m": Size(mass, useful.mass, "it")} | {
         one.name: Size(size, useful.centre, "the body's size") for one in body[1:]

@@ -12,8 +12,11 @@ import numpy as np
 from drivers.records import IMU, Rows
 from onboard.devices import si
 from onboard.estimation.arrays import BoolArray, FloatArray
+from onboard.estimation.calibration import wrist
 from onboard.estimation.errors import CalibrationError
+from onboard.estimation.policy import DOUBT, sigmas
 from onboard.ground.calibrate.place import Gravity
+from onboard.ground.calibrate.weigh.changed import PART
 from onboard.ground.calibrate.weigh.columns import ONE_G, Meaning
 from onboard.ground.calibrate.weigh.conventions import Known, Said
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -22,13 +25,11 @@ from onboard.ground.calibrate.weigh.weigh import Answer, weigh
 from onboard.ground.calibrate.weigh.wrist_sensor import WristSensor
 
 REST_s = 2.0
-FEWEST, MOST = 6, 60  # poses: with fewer a weighing does not end, with more it does
-_ENOUGH = 12  # poses, from which on it ends where no further one would tell much
+MOST = 60  # poses
 _QUARTERS, _ROWS = 4, 8
 _SILENT_s, _RESTLESS_s = 3.0, 15.0
 _STILL_rad = np.deg2rad(0.1)  # of a joint, of gravity: 0.2 % of the weight across
 _TURNED_rad = np.deg2rad(5.0)
-_QUIET = 3.0  # of a cell's noise: what the means of quarters may differ by
 
 
 @dataclass
@@ -185,13 +186,13 @@ class Session:
                 )
             ways = parts / size[:, None]
             noise = max(signal.noise[3:]) / g / np.sqrt(0.25 * self._rest_s / signal.period_s)
-            if np.linalg.norm(ways - ways.mean(axis=0), axis=1).max() > _STILL_rad + 3.0 * noise:
+            if np.linalg.norm(ways - ways.mean(axis=0), axis=1).max() > _STILL_rad + sigmas(DOUBT) * noise:
                 return f"the wrist turns, by {channel}: hold it still"
             return ""
         spread = float(np.ptp(parts, axis=0).max())
         if channel in self.sensor.joints:
             return f"{channel} turns" if spread > _STILL_rad else ""
-        if spread > _QUIET * signal.noise[0]:
+        if spread > sigmas(DOUBT) * signal.noise[0]:
             return f"{channel} moves by {spread:.2g} N: let the tool come to rest, or correct noise_N of the cell"
         return ""
 
@@ -209,7 +210,7 @@ class Session:
 
     def _weigh(self) -> None:
         n = len(self.R)
-        if n < 4:
+        if n < wrist.FEWEST:
             self.tell(f"pose {n} taken; turn the wrist to the next pose")
             return
         meaning = Meaning("matrix", np.array(self.R).reshape(n, 9), np.array(self.wrench), ())
@@ -225,9 +226,9 @@ class Session:
         else:
             half = 0.5 * (mass.high - mass.low) / abs(mass.value)
             told = f"{mass.value:.4g} kg +- {100.0 * half:.2g} %"
-            if n >= FEWEST and half <= self.until:
+            if n >= PART and half <= self.until:
                 self.done = f"the mass is known to {100.0 * half:.2g} %"
-            elif n >= _ENOUGH and not more:
+            elif n >= 2 * PART and not more:
                 self.done = "no further pose would tell much: the rest is how well the sensor is calibrated"
         if n >= MOST:
             self.done = self.done or f"{MOST} poses"

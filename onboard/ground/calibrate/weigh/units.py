@@ -4,8 +4,9 @@ Poses tell the centre of mass in moment units by force units, and nothing of the
 that of an assumption, and so says the verdict.
 """
 
-import math
 import re
+
+from onboard.dynamics.model.inertia import sphere_radius_m
 
 FORCE_UNITS = {
     **{"n": 1.0, "newton": 1.0, "kn": 1e3, "mn": 1e-3, "un": 1e-6},
@@ -22,17 +23,11 @@ _PAIRS = (  # of a force and a moment, as sensors and people have them, the comm
     *(("gf", "Nmm"), ("lbf", "lbfin"), ("lbf", "lbfft"), ("lbf", "Nm")),
 )
 _HELD = 10.0  # radii of a sphere of its mass, or a tenth of one: where the centre of a held tool is from the sensor
-_DENSITY_kg_m3 = 500.0  # of a body of unknown size, as of the fits' first guess
 
 
 def are_si(name: str) -> bool:
     """Whether a column's name is one that a document defines in N and N m."""
     return bool(_SI.search(name.lower()))
-
-
-def radius_m(mass_kg: float) -> float:
-    """Of a sphere of this mass."""
-    return float((0.75 * max(mass_kg, 0.0) / (math.pi * _DENSITY_kg_m3)) ** (1.0 / 3.0))
 
 
 def likelier(mass_kg: float, far_m: float, unnamed: tuple[str, ...]) -> str:
@@ -51,7 +46,7 @@ def likelier(mass_kg: float, far_m: float, unnamed: tuple[str, ...]) -> str:
         if (force == "N" or "force" in unnamed) and (moment == "Nm" or "moment" in unnamed):
             factor = FORCE_UNITS[force.lower()]
             mass, far = mass_kg * factor, far_m * MOMENT_UNITS[moment.lower()] / factor
-            if radius_m(mass) / _HELD < far < radius_m(mass) * _HELD:
+            if sphere_radius_m(mass) / _HELD < far < sphere_radius_m(mass) * _HELD:
                 found.append(f"in {force} and {moment} {mass:.3g} kg at {_length(far)}")
                 if (force, moment) == _PAIRS[0]:
                     return ""

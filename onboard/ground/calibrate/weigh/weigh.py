@@ -14,7 +14,7 @@ from onboard.estimation.arrays import FloatArray, hat
 from onboard.estimation.calibration import wrist, wrist_model
 from onboard.estimation.calibration.wrist_model import Linearisation, Priors
 from onboard.estimation.policy import INTERVAL, ODDS, ODDS_OF_PART
-from onboard.ground.calibrate.weigh.changed import BodyChange, change
+from onboard.ground.calibrate.weigh.changed import PART, BodyChange, change
 from onboard.ground.calibrate.weigh.columns import Meaning
 from onboard.ground.calibrate.weigh.conventions import DOWN, Known, Poses, Said, averaged, meanings, rotations, still
 from onboard.ground.calibrate.weigh.errors import PosesError
@@ -24,7 +24,6 @@ from onboard.identification.rows.held_out import HeldOut
 
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 MOST_POSES = 3000
-_HALVES = 12  # poses, from which on one half can be predicted from the other
 _ROUGH = 5  # rounds of fits that are only compared
 _RUN = 3  # equal readings, steps of a reading
 IndexArray = NDArray[np.intp]
@@ -124,7 +123,7 @@ def weigh(meaning: Meaning, known: Known, tell: Callable[[str], None] = lambda _
     changed = change(poses, prior, first)
     tell("rows that contradict the others")
     out = wrist.outliers(poses.R, poses.wrench, prior)
-    if (~out).sum() < max(4, len(out) // 2):
+    if (~out).sum() < max(wrist.FEWEST, len(out) // 2):
         out = np.zeros_like(out)
     if out.any():
         poses = poses._replace(R=poses.R[~out], wrench=poses.wrench[~out])
@@ -167,7 +166,7 @@ def _fits(
     made = 0
     for orientation, R in ways:
         held = still(R, meaning.wrench)
-        if len(held.groups) < 4:
+        if len(held.groups) < wrist.FEWEST:
             failed = PosesError(
                 f"{len(held.groups)} poses that can be used (of {len(R)} rows {held.bad} hold what is no number, "
                 "or a quaternion or matrix that is no rotation): four or more are needed, and twelve or more with the "
@@ -377,7 +376,7 @@ def _frozen(read: FloatArray, made: FloatArray) -> bool:
 def _held_out(poses: Poses, prior: Priors, one: wrist.PoseFit) -> HeldOut | None:
     """Each half of the poses predicted from the other; zeros are the half's own."""
     n = len(poses.R)
-    if n < _HALVES:
+    if n < 2 * PART:
         return None
     halves = slice(0, n // 2), slice(n // 2, n)
     states = [wrist.fit(poses.R[half], poses.wrench[half], prior).state for half in halves]

@@ -10,9 +10,9 @@ from scipy.special import stdtrit
 from drivers.records import Rows, SampleStatus
 from onboard import config
 from onboard.devices.recorded import ThrusterKeys, thrusters_among, tracked_among
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import PAUSE, FloatArray
 from onboard.estimation.errors import EstimationError
-from onboard.estimation.policy import FARTHEST_SIZE, HALF, INTERVAL, LIKELY_SIZE, MOST_CONTRADICTED, contradicted_text
+from onboard.estimation.policy import HALF, INTERVAL, LARGEST_SIZE, MOST_CONTRADICTED, contradicted_text
 from onboard.flight.estimate.answers import useful_of
 from onboard.flight.estimate.body import body_model, key_of
 from onboard.flight.estimate.problem.model import build_model, naming_the_file
@@ -24,7 +24,7 @@ from onboard.identification.body.stated import Valve, valve_of_on_times
 from onboard.identification.corrections import contradicted, doubtful, expected_sigma, misfit_texts, together
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE, Causes, Contribution, Findings, QuantityEstimate
 from onboard.identification.verdict import Evidence
-from onboard.identification.windows import PAUSE, SHORTEST, WINDOW_s
+from onboard.identification.windows import SHORTEST, WINDOW_s
 from onboard.recording.format.errors import ChannelError
 from onboard.recording.reader import LogReader
 
@@ -137,7 +137,7 @@ def _valve(own: ThrusterKeys, name: str, time_s: FloatArray, rows: Rows, log: Lo
     level = values / (own.force_N if unit == b"N" else 1.0)
     if (level < 0.0).any():
         raise ChannelError(f"{log.path}: {name} is negative; a thruster only pushes: give each a column")
-    if level.max() > 1.0 + FARTHEST_SIZE * LIKELY_SIZE:
+    if level.max() > 1.0 + LARGEST_SIZE:
         text = f"{name} reaches {level.max():.3g} times its force"
         raise ChannelError(f"{log.path}: {text}; give its unit and scale in the mapping, or its force_N")
     return Valve(time_s, level)

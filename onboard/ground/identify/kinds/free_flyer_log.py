@@ -38,7 +38,14 @@ from onboard.ground.identify.kinds.identified import Identified
 from onboard.ground.identify.kinds.tick_recorder import TickRecorder
 from onboard.ground.identify.replay.as_recorded import FEWEST_SAMPLES, WIDTHS_ms, best_width, with_settings
 from onboard.ground.identify.replay.feed import AT_ONCE_s, fed
-from onboard.identification.free_flyer.before_capture import ANNOUNCED_s, BeforeCapture, Payload, Zeros, before_capture
+from onboard.identification.free_flyer.before_capture import (
+    ANNOUNCED_s,
+    BeforeCapture,
+    Payload,
+    Zeros,
+    before_capture,
+    margins_s,
+)
 from onboard.identification.free_flyer.misread import mistaken
 from onboard.identification.free_flyer.online import MotionIdentifier
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE
@@ -56,9 +63,6 @@ _FLEXIBLE = "it does not know flexible joints, the filter on board does; see hef
 _TO_CHECK = (  # of a recording by other software
     "; check axes and units of the IMU, signs, units, order and zeros of the joints, the clock of each, and the URDF"
 )
-
-
-_ABOUT_s = 0.8  # of a capture, on each side of the time that belongs to no segment
 
 
 class _Onboard(NamedTuple):
@@ -159,7 +163,8 @@ class _Flight:
         from_s, until_s = float(free.ticks.time_s[-1]), float(held.ticks.time_s[0]) - CONTACT_s
         announced = until_s < from_s
         touched_s = (from_s - ANNOUNCED_s, from_s + ANNOUNCED_s) if announced else (from_s, until_s)
-        ends = touched_s[0] - _ABOUT_s, touched_s[1] + _ABOUT_s
+        before_s, after_s = margins_s(self._period_s)
+        ends = touched_s[0] - before_s, touched_s[1] + after_s
         about = self._ticks.part(slice(*np.searchsorted(self._ticks.time_s, ends).tolist()))
         found, predictor = made.found, self._online.ekf.predictor
         state, zeros = made.flight.state(found.fit.x, number), Zeros(*made.flight.zeros(found.fit, touched_s[0]))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import records
-from onboard.identification.windows import PAUSE
+from onboard.estimation.arrays import PAUSE
 
 SHORT_PART, SHORT_EACH = 0.02, 2
 _MOST_PLACES = 20  # of a channel

@@ -29,7 +29,6 @@ from onboard.identification.free_flyer.steps import NO_STEPS, NONE_TAKEN, Inside
 
 _NO_SIZES = np.zeros(0)
 _FIRST = PAYLOAD.stop  # rate and payload
-_AWAY = 0.7  # largest shift along such a direction, prior sigmas; 0.2 by chance
 
 
 class Pieces:
@@ -213,7 +212,7 @@ class Problem(NamedTuple):
     active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean
 
     def as_stated(self, x: FloatArray, told: FloatArray) -> FloatArray | None:
-        """The same with what the ticks do not tell at its prior mean; None if it is near that.
+        """The same with what the ticks do not tell at its prior mean; None if they tell all.
 
         A damped iteration from a guess may move two unknowns that cancel each other, as a joint's place and what hangs
         on it, and hardly takes it back, as each has a large effect by itself.
@@ -228,7 +227,7 @@ class Problem(NamedTuple):
         share, V = eigh(stated / np.outer(scale, scale), both / np.outer(scale, scale))  # V' both V = 1
         untold = V[:, share > 1.0 - LEAST_TOLD]  # the ticks do not tell of these
         away = untold.T @ (both @ (x - self.mean[self.active]) / scale)  # in prior sigmas
-        return x - untold @ away / scale if np.abs(away).max(initial=0.0) > _AWAY else None
+        return x - untold @ away / scale if away.size else None
 
     def state(self, x: FloatArray) -> FloatArray:
         """The whole state with these values of what is active."""

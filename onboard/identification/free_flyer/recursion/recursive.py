@@ -31,11 +31,18 @@ from onboard.identification.free_flyer.guesses import first_state
 from onboard.identification.free_flyer.innovation import TickBatch
 from onboard.identification.free_flyer.prediction.joint_noise import LineNoise, NoiseAdded, sigma_of
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
-from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved, SOLVED_AT_s, after_a_change, kind_of
+from onboard.identification.free_flyer.recursion.solved import (
+    HeldPayload,
+    Solved,
+    SOLVED_AT_s,
+    WINDOWS_s,
+    after_a_change,
+    kind_of,
+)
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import Exclusion, WindowProblem
 from onboard.identification.free_flyer.recursion.window import WindowSolve
-from onboard.identification.free_flyer.recursion.windowed import Windowed, WINDOWS_s
+from onboard.identification.free_flyer.recursion.windowed import Windowed
 from onboard.identification.free_flyer.steps import JumpedJoint
 from onboard.identification.online import Change
 from onboard.identification.quantities import Useful

@@ -18,10 +18,12 @@ from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD
 from onboard.identification.free_flyer.prediction.joint_noise import NoiseAdded
 from onboard.identification.online import Change
 
-SOLVED_AT_s = (1.0, 2.0, 4.0)  # times after the start or a change at which the window is solved
+WINDOWS_s = (1.0, 2.0, 4.0, 8.0)  # of a window; the longest where two IMUs contradict each other
+SOLVED_AT_s = WINDOWS_s[:-1]  # times after the start or a change at which the window is solved
+LONGEST_s = 32.0  # of a window that grows, or that replaces steps
 EXPLAINED = of_each(REFUSE, 16)  # a window of less chance is not explained; as many windows are judged
 _BEGUN = 0.02  # share of the prior sigma of the mass; a window whose sigma is smaller keeps its ticks and grows
-_GROWTH, _LONGEST = 1.5, 8.0  # of such a window
+_GROWTH, _LONGEST = 1.5, LONGEST_s / SOLVED_AT_s[-1]  # of such a window
 
 
 class HeldPayload(Enum):

@@ -23,14 +23,14 @@ from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.prediction.further import TURNING_rad_s, left_of
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
-from onboard.identification.free_flyer.recursion.solved import HeldPayload, Solved
+from onboard.identification.free_flyer.recursion.solved import HeldPayload, LONGEST_s, Solved, WINDOWS_s
 from onboard.identification.free_flyer.recursion.trials import WindowProblem
 from onboard.identification.quantities import SUPPORTED_SHRINKAGE
 
-_FIRST_s, _LONGEST_s = 8.0, 32.0  # a window of the steps is at least and at most so long
+_FIRST_s = WINDOWS_s[-1]  # of a window of the steps, at least
+_AT_REST_s = WINDOWS_s[0]  # time at rest that is kept
 _WELL = LIKELY_SIZE / FARTHEST_SIZE  # relative sigma of a mass that is off by no likely error: linearised well enough
 _WELL_rad_s = SUPPORTED_SHRINKAGE * TURNING_rad_s  # and sigma of the base's rate, which the zeros of a gyro bound
-_AT_REST_s = 1.0  # time at rest that is kept
 
 
 class SteppedTicks:
@@ -66,7 +66,7 @@ class SteppedTicks:
         length_s, held = (2.0 * float(ticks.time_s[-1] - ticks.time_s[0]), solved.hypothesis is not HeldPayload.NOTHING)
         well = solved.hypothesis is HeldPayload.SAME or (not held and _knows_zeros(predictor, known))
         # noise drives the bends of flexible joints: steps count that, a window does not
-        if well or length_s > 1.01 * _LONGEST_s or predictor.bends.size:
+        if well or not _reaches(LONGEST_s, length_s) or predictor.bends.size:
             return None
         return SteppedTicks(ticks, max(_FIRST_s if held else 0.0, length_s), held=held, first=held and not grown)
 
@@ -98,12 +98,12 @@ class SteppedTicks:
     def due(self, *, apart: bool) -> bool:
         """They are to be solved again; ``apart``: steps since the last time are linearised about different states."""
         length_s = min(self._again_s, self._length_s) if apart else self._length_s
-        return not self._well and self._now_s >= 0.99 * length_s
+        return not self._well and _reaches(self._now_s, length_s)
 
     @property
     def over(self) -> bool:
         """They are kept no longer."""
-        return self._well and self._now_s >= 0.99 * self._length_s
+        return self._well and _reaches(self._now_s, self._length_s)
 
     @property
     def ticks(self) -> Ticks:
@@ -119,12 +119,17 @@ class SteppedTicks:
     def after(self, solved: Solved) -> "SteppedTicks | None":
         """What is to be solved after the window of all is; None if nothing is, or it was long."""
         rate = float(np.sqrt(np.diag(solved.covariance)[RATE].max()))
-        well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and self._length_s > 0.99 * _FIRST_s
-        early = self._now_s < 0.99 * self._length_s
+        well = solved.mass_sigma < _WELL if self.held else rate < _WELL_rad_s and _reaches(self._length_s, _FIRST_s)
+        early = not _reaches(self._now_s, self._length_s)
         length_s = self._length_s if early else 2.0 * self._length_s
-        if (well and not self.held) or length_s > 1.01 * _LONGEST_s:
+        if (well and not self.held) or not _reaches(LONGEST_s, length_s):
             return None
         return SteppedTicks(self.ticks, length_s, held=self.held, first=self.first and early, well=well)
+
+
+def _reaches(now_s: float, length_s: float) -> bool:
+    """Whether a window is as long as another, but for a tick or two at its ends."""
+    return now_s > 0.99 * length_s
 
 
 def _later(predictor: ImuPredictor, known: Known, ticks: int) -> Known:

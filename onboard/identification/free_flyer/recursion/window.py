@@ -20,7 +20,7 @@ from scipy.special import chdtrc, chdtri
 from onboard.dynamics.model.payload import standard_of
 from onboard.estimation.arrays import ROUNDING, FloatArray
 from onboard.estimation.errors import ConvergenceError, RowError, SingularError
-from onboard.estimation.maximum_likelihood import BEYOND, ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
+from onboard.estimation.maximum_likelihood import BEYOND, DAMPING, ITERATIONS, MINIMUM, NEAR_MINIMUM, Descent, Fit
 from onboard.estimation.policy import DOUBT, HALF, READING
 from onboard.identification.evidence.bank import Changed
 from onboard.identification.free_flyer.guesses import FIRST_TICKS, ROUGH_WIDTH_s, first_state, guesses
@@ -237,7 +237,7 @@ class WindowSolve:
         self._descend(_Stage.SETTLE, start, MINIMUM, _SETTLING, ROUNDING)
 
     def _descend(
-        self, stage: _Stage, start: FloatArray, tolerance: float, iterations: int = ITERATIONS, damping: float = 1e-3
+        self, stage: _Stage, start: FloatArray, tolerance: float, iterations: int = ITERATIONS, damping: float = DAMPING
     ) -> None:
         self._stage, active = stage, self._problem.active
         prior = self._problem.information[np.ix_(active, active)]

@@ -7,6 +7,7 @@ import numpy as np
 from onboard.dynamics.model.payload import BodyEstimate, body_estimate
 from onboard.estimation.arrays import BoolArray, FloatArray
 from onboard.estimation.change import ChangeDetector
+from onboard.estimation.policy import STEPS_PER_HOUR
 from onboard.identification.evidence.bodies import changes
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.free_flyer.fusion import Accusation, Fusion
@@ -25,14 +26,12 @@ from onboard.identification.free_flyer.recursion.linearised import Linearised
 from onboard.identification.free_flyer.recursion.lines import InnovationLines, Unexplained
 from onboard.identification.free_flyer.recursion.rounds import WindowRounds
 from onboard.identification.free_flyer.recursion.snapshots import Before, Snapshots, initially
-from onboard.identification.free_flyer.recursion.solved import Claim, HeldPayload, SOLVED_AT_s, at_first
+from onboard.identification.free_flyer.recursion.solved import Claim, HeldPayload, WINDOWS_s, at_first
 from onboard.identification.free_flyer.recursion.stepped import SteppedTicks
 from onboard.identification.free_flyer.recursion.trials import CellTrials, WindowFits, WindowProblem, trials_of
 from onboard.identification.free_flyer.recursion.window import WindowSolve
 from onboard.identification.free_flyer.suspects import Rivals
 from onboard.identification.online import Change
-
-WINDOWS_s = *SOLVED_AT_s, 8.0  # the longest where two IMUs contradict each other
 
 
 class Windowed(BoundedWork):
@@ -73,7 +72,7 @@ class Windowed(BoundedWork):
         predictor: ImuPredictor,
         payload_sigma: FloatArray,
         held: bool,
-        false_alarms_per_hour: float = 0.1,
+        false_alarms_per_hour: float = STEPS_PER_HOUR,
         known: Known | None = None,
         call_ticks: int = BATCH_TICKS,
     ) -> None:
