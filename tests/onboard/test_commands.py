@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from rich.console import Group
+from rich.table import Column, Table
+from rich.text import Text
 
 from onboard import cli
 from onboard.cli import common, lines
@@ -49,6 +52,29 @@ def test_without_a_terminal_it_is_a_line_after_a_while_and_then_now_and_again(
         while "\n" not in said.getvalue():
             time.sleep(0.01)
     assert said.getvalue().strip("\0").startswith("heft: the devices run: 0 s so far\n")
+
+
+def test_of_several_it_is_of_the_last_that_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lines, "FIRST_S", 0.0)
+    said = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", said)
+    with common.progress(threads=False) as bar:
+        bar.add_task("read rocksat.mcap", total=1000, completed=999)
+        bar.update(bar.add_task("draw rocksat.html", total=None), completed=0)
+    assert said.getvalue() == "heft: draw rocksat.html: 0 s so far\n"
+
+
+def test_what_stands_beside_a_table_that_is_wider_than_the_terminal_is_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    table = Table(Column("number", justify="right"), box=None)
+    table.add_row("1" * 90)
+    common.show(Group(table, Text("so many words " * 10)))
+    said = capsys.readouterr().out.splitlines()
+    assert "1" * 90 in said[1]
+    assert len(said) > 3
+    assert max(len(line.rstrip()) for line in said[2:]) <= 80
 
 
 def test_one_thread_is_kept_where_it_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
