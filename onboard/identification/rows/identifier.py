@@ -289,7 +289,7 @@ class Identifier:
         return self.taken.answer
 
     def fits(self) -> tuple[InstrumentFit, ...]:
-        """How each instrument's rows stand to the estimate of all with gains as stated."""
+        """How each instrument's rows stand to the estimate of all; gains as stated, or as the answer has them."""
         if self._fitted is None or self._is_due(self._fitted[0]):
             mean, drawn = self._recursions(False).mean, self.base.value(self.model.chi)
             taken = self.taken.by(self.rls)
@@ -299,7 +299,8 @@ class Identifier:
             causes = self.considered[: self.seen.considered]
             friction = {k: one.axis for k, one in enumerate(causes) if one.effect == "held_friction"}
             since_s = self.errors.settled_s(self.seen, mean) if self.by_errors else (-np.inf, -np.inf)  # as it has them
-            beside = but_gains(taken.considered[: len(causes)], causes), friction, since_s
+            sigma = taken.considered[: len(causes)]
+            beside = sigma if self.by_errors else but_gains(sigma, causes), friction, since_s
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, *beside), self.considered)
         return self._fitted[1]
 

@@ -3,8 +3,8 @@
 Per instrument, at the estimate of all rows:
 
 - *Gain*: a step of it, and an error of it against the other instruments (:class:`GainTests`), all considered errors but
-  gains estimated beside it: a drift of a zero is no step. Rows that read nothing, those of a wrench known to be zero,
-  have no gain.
+  gains estimated beside it, and gains, too, where the answer is by these: a drift of a zero is no step. Rows that read
+  nothing, those of a wrench known to be zero, have no gain.
 - *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
   what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
   it is reported, its effect is in the intervals, and nothing is refused for it.
