@@ -197,10 +197,10 @@ def test_weighed_again_after_a_fifth_more_rows_with_the_payload_or_without():
 def test_an_answer_covers_the_one_before_where_what_is_likeliest_wrong_has_changed():
     """An encoder is stuck for a while: of the first rows of that a step of cells is made, which the next ones deny."""
     truth = np.array([TOOL.mass_kg, *TOOL.centre_of_mass_m, *elements(TOOL.inertia_kg_m2)])
-    who, given = identifier(), stuck(2, 6.0, 1.5)(run())
+    who, given = identifier(), stuck(2, 7.0, 1.0)(run())
     likeliest, farthest = set(), 0.0
-    for first in range(0, len(given.time_s), 4):
-        bench.feed(who, part(given, slice(first, first + 4)))
+    for first in range(0, len(given.time_s), 8):
+        bench.feed(who, part(given, slice(first, first + 8)))
         for one, true in zip(who.estimate().quantities, truth, strict=True):
             if one.supported:
                 likeliest.add(who._bank.weighed.names)
