@@ -232,8 +232,6 @@ class Estimation(Section):
     ``smoothing``: the kernel of every signal, ``smoothing_ms`` wide: a spline, or the steady-state Kalman smoother;
     see :mod:`onboard.estimation.kinematics`. ``lag_ms``: 0.75 times that, where 200 are too few.
     ``block_ms``: distance at which errors of rows are taken as independent; default: five times ``smoothing_ms``.
-    ``scales``: of load cells, each with its device's ``scale_sigma``: "considered" only widens intervals;
-    "estimated" makes each a parameter, for several cells that measure the same load.
     ``row_noise``: "white" counts all noise of a row as white; "by_frequency" filters the rows of a base that is not
     free, so that what differentiated encoders add at high frequencies does not hide slow motion.
     ``base_rows`` are rows of a wrench known to be zero, within the two sigmas after it.
@@ -253,7 +251,6 @@ class Estimation(Section):
     smoothing_ms: Annotated[float, Field(ge=1, le=5000)] = 100
     smoothing: Literal["spline", "smoother"] = "spline"
     block_ms: Positive | None = None
-    scales: Literal["considered", "estimated"] = "considered"
     row_noise: Literal["white", "by_frequency"] = "white"
     base_rows: list[Literal["force", "moment"]] = Field(default_factory=list)
     base_force_sigma_N: Positive = 0.1  # noqa: N815

@@ -37,6 +37,9 @@ _WANTED = {
 }
 
 
+_GONE = {"estimation.scales": "errors of gains are estimated beside the load of every arm that stands"}  # of heft 0.2
+
+
 def explained(
     error: ValidationError,
     tree: Mapping[str, Any],
@@ -88,6 +91,8 @@ def _explain(
     name: str, where: list[str], tree: Mapping[str, Any], error: dict[str, Any], model: type[BaseModel]
 ) -> str:
     kind, context = str(error["type"]), error.get("ctx", {})
+    if kind == "extra_forbidden" and name in _GONE:
+        return f"{name!r} is gone, as {_GONE[name]}: delete it"
     if kind == "extra_forbidden":
         known = list(_model_at(where[:-1], tree, model).model_fields)
         near = difflib.get_close_matches(where[-1], known, 1, 0.5)

@@ -25,8 +25,8 @@ from onboard.regressor.rows import BaseMotion, RowModel
 
 Vector3 = tuple[float, float, float]
 
-_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "scale", "Ia", "Fv", "Fc", "zero")
-_OF_INSTRUMENTS = ("bias_", "scale_", "zero_force_")
+_KEPT_FIRST = ("ZZ", "XX", "XY", "XZ", "YZ", "MX", "MY", "bias", "Ia", "Fv", "Fc", "zero")
+_OF_INSTRUMENTS = ("bias_", "zero_force_")
 _TOLERANCE = 1e-9  # relative to a column's norm
 
 
@@ -106,8 +106,8 @@ def sampled_rows(
         np.asarray(motion.specific_force_m_s2) * rng.standard_normal((ticks, 3)) + motion.constant_force_m_s2,
     )
     attached = np.arange(ticks) % 2 == 0 if released else None
-    dq, ddq, predicted = (rng.standard_normal(size) for size in (shape, shape, (ticks, len(model.rows))))
-    Y = model.regressor(q, dq, ddq, base, attached, predicted=predicted)
+    dq, ddq = rng.standard_normal(shape), rng.standard_normal(shape)
+    Y = model.regressor(q, dq, ddq, base, attached)
     return Y.reshape(-1, Y.shape[2])
 
 

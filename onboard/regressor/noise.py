@@ -1,7 +1,5 @@
 """Effect of the noise of the measured motion on the rows, by finite differences (derived here)."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,19 +16,18 @@ class RowNoise:
     Args:
         model: the rows.
         fold: the base parameters' columns, and last what is known.
-        scales: row and column of every parameter that is a scale.
         imu_frame: frame in which the noise of the base's motion is given.
 
     Raises:
         UnknownFrameError: the base does not have that frame.
     """
 
-    def __init__(self, model: RowModel, fold: RowFold, scales: Sequence[tuple[int, int]], imu_frame: str) -> None:
-        self._model, self._fold, self._scales = model, fold, tuple(scales)
+    def __init__(self, model: RowModel, fold: RowFold, imu_frame: str) -> None:
+        self._model, self._fold = model, fold
         self._imu_pose = model.vehicle.pose_in_base(imu_frame)
 
     def changes(
-        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray, mean: FloatArray | None
+        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray
     ) -> tuple[FloatArray, NDArray[np.intp]]:
         """Change of the rows and of their left-hand sides per standard deviation of each motion signal.
 
@@ -41,7 +38,6 @@ class RowNoise:
             noise: of their motion.
             at: ticks wanted, (t,).
             attached: whether the payload is held, at every tick of ``signals``.
-            mean: parameters (p,) by which columns of scales are predicted; not needed where there are none.
 
         Returns:
             ``(changes, group)``: (groups, rows, s, p + 1), and the group of each tick, (t,).
@@ -54,11 +50,9 @@ class RowNoise:
                 mine = kind[first : first + _NOISE_TICKS]
                 group[mine] = len(ticks)
                 ticks.append(at[mine[mine.size // 2]])
-        return self._at(signals, noise, np.array(ticks), attached, mean), group
+        return self._at(signals, noise, np.array(ticks), attached), group
 
-    def _at(
-        self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray, mean: FloatArray | None
-    ) -> FloatArray:
+    def _at(self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray) -> FloatArray:
         """The same at each of some ticks, (t, rows, s, p + 1), by finite differences one standard deviation wide."""
         R_BS, p_BS = self._imu_pose
         nj, n = len(self._model.vehicle.joints), len(at)
@@ -82,15 +76,10 @@ class RowNoise:
         every = n * (s + 1)
         motion = BaseMotion(*(v.reshape(every, 3) for v in (w, dw, f)))
         q, dq, ddq = (moved[:, :, k].reshape(every, nj) for k in range(3))
-        none = np.zeros((every, len(self._model.rows)))
         z = None if signals.friction is None else np.repeat(signals.friction[at], s + 1, axis=0)
         held = np.repeat(attached[at], s + 1)
-        Y = self._model.regressor(q, dq, ddq, motion, held, False, none, self._fold, z)
+        Y = self._model.regressor(q, dq, ddq, motion, held, False, self._fold, z)
         Y = Y.reshape(n, s + 1, *Y.shape[1:])
         change = (Y[:, :-1] - Y[:, -1:]).transpose(0, 2, 1, 3)
         change[..., -1] *= -1.0  # the known part moves to the other side
-        if mean is not None:
-            predicted = change @ [*mean, -1.0]  # (t, rows, s)
-            for row, column in self._scales:
-                change[:, row, :, column] = predicted[:, row]
         return np.ascontiguousarray(change)

@@ -51,7 +51,6 @@ class WrenchRow:
     frame: str
     projection: tuple[float, float, float, float, float, float]
     bias: bool = False
-    scale: bool = False
     friction_joint: str | None = None
     coasting: bool = False  # the frame's origin is a falling vehicle's centre of mass: no specific force there
 
@@ -63,7 +62,6 @@ def load_cell_row(
     measures: str,
     lever_m: float = 1.0,
     bias: bool = True,
-    scale: bool = False,
 ) -> WrenchRow:
     """Row of a single-axis load cell (2.132) in its unit: N for a force or a moment on a lever, N m with lever 1.
 
@@ -74,7 +72,6 @@ def load_cell_row(
         measures: ``"moment"`` or ``"force"``.
         lever_m: the reading is moment / lever.
         bias: whether the reading at no load is a parameter.
-        scale: whether its scale is, relative, column ``scale_<name>``.
 
     Raises:
         SignalError: a zero axis, a lever that is not positive, or another word for ``measures``.
@@ -85,9 +82,9 @@ def load_cell_row(
         raise SignalError(f"load cell {name!r}: give an axis of three numbers, not all zero, and a positive lever")
     x, y, z = (float(v) for v in direction / length)
     if measures == "moment":
-        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias, scale)
+        return WrenchRow(name, frame, (0.0, 0.0, 0.0, x / lever_m, y / lever_m, z / lever_m), bias)
     if measures == "force":
-        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias, scale)
+        return WrenchRow(name, frame, (x, y, z, 0.0, 0.0, 0.0), bias)
     raise SignalError(f"load cell {name!r} measures {measures!r}; say 'moment' or 'force'")
 
 
@@ -180,10 +177,9 @@ class RowModel:
             of its own, named as its joint. A motor has columns in the rows with friction of the joints it turns with.
 
     Attributes:
-        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, ``scale_<row>``, then ``Ia_, Fv_,
-            Fc_<motor>``, then ``zero_force_x, _y, _z``.
+        names: of the columns: ``M_<link> .. ZZ_<link>`` by link, then ``bias_<row>``, then ``Ia_, Fv_, Fc_<motor>``,
+            then ``zero_force_x, _y, _z``.
         chi: prior values of the columns: the URDF's, zero for the extra ones.
-        scales: row and column of each scale.
         zero_force: the last three names, or none.
         motors: in the order of their columns.
 
@@ -203,9 +199,6 @@ class RowModel:
             if row.bias:
                 self._biases.append((index, len(names)))
                 names.append(f"bias_{row.name}")
-        scaled = [index for index, row in enumerate(self.rows) if row.scale]
-        self.scales = tuple((index, len(names) + k) for k, index in enumerate(scaled))
-        names += [f"scale_{self.rows[index].name}" for index in scaled]
         joints = [row.friction_joint for row in self.rows]
         own = {joint: Motor(joint, ((joint, 1.0),)) for joint in joints if joint is not None}
         self.motors = tuple({**own, **{motor.name: motor for motor in motors}}.values())
@@ -240,7 +233,6 @@ class RowModel:
         motion: BaseMotion,
         attached: ArrayLike | None = None,
         fill_zero_force: bool = True,
-        predicted: ArrayLike | None = None,
         fold: RowFold | None = None,
         friction: FloatArray | None = None,
     ) -> FloatArray:
@@ -253,12 +245,11 @@ class RowModel:
             motion: of the base.
             attached: (n,) bool, whether the payload link is held; always, where not given.
             fill_zero_force: whether the ``zero_force`` columns are made, if the model has them; else they stay zero.
-            predicted: (n, rows) what the rows' sensors should read, scales aside; needed where a scale is a parameter.
             fold: which combinations of columns; every column by itself, where not given.
             friction: (n, motors) Coulomb friction of each motor over its level; the sign of its rate where not given.
 
         Raises:
-            SignalError: shapes that do not fit, motion that is not finite, or a scale without predictions.
+            SignalError: shapes that do not fit, or motion that is not finite.
         """
         nj = len(self.vehicle.joints)
         position, velocity, acceleration = (np.asarray(v, np.float64) for v in (q, dq, ddq))
@@ -286,12 +277,6 @@ class RowModel:
             extras[:, :, first : first + 3] = -self._columns.unit_force(held, chain)
         for row, column in self._biases:
             extras[:, row, column - own] = 1.0
-        if self.scales:
-            expected = np.asarray(() if predicted is None else predicted, np.float64)
-            if expected.shape != (n, len(self.rows)):
-                raise SignalError(f"scales are parameters; give the predicted readings, ({n}, {len(self.rows)})")
-            for row, column in self.scales:
-                extras[:, row, column - own] = expected[:, row]
         if self._frictions:
             of_motors = self._of_motors(velocity, acceleration, friction)
             for row, motor, ratio, column in self._frictions:
@@ -313,7 +298,7 @@ class RowModel:
         held: BoolArray,
         friction: FloatArray | None = None,
     ) -> FloatArray:
-        """What parameters make the rows read on a base that stands, (n, rows); biases and scales aside.
+        """What parameters make the rows read on a base that stands, (n, rows); biases aside.
 
         Many times as fast as :meth:`regressor`, where no derivatives by the parameters are wanted.
 

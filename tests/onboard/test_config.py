@@ -78,6 +78,14 @@ def test_an_unknown_key_names_line_and_the_key_meant() -> None:
             "[estimation.memory]\nwindow_s = 9\n[estimation.gates]",
             "unknown key 'estimation.memory'",
         ),
+        *(
+            (
+                "step_ms = 100",
+                f'scales = "{word}"\nstep_ms = 100',
+                "'estimation.scales' is gone, as errors of",
+            )
+            for word in ("considered", "estimated")
+        ),
     ],
 )
 def test_other_mistakes(old: str, new: str, expected: str) -> None:

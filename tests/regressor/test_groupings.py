@@ -4,7 +4,6 @@ Wrist cells, motor currents, other bases than free ones: MuJoCo's answers.
 """
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from onboard.dynamics.model.bases import BASES, BaseKind
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.vehicle import VehicleModel, VehicleSpec
-from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.groupings import groupings
 from onboard.regressor.prior import prior_root
@@ -51,9 +49,9 @@ def on_a_bench(rng, links):
     return (q, dq, ddq), np.array([a[2] for a in answers]), np.array([a[3][-6:] for a in answers])
 
 
-def six_axes(bias=True, scale=False):
+def six_axes(bias=True):
     return [
-        load_cell_row(f"wrist_{kind}_{axis}", "joint_link_4", unit, kind, bias=bias, scale=scale)
+        load_cell_row(f"wrist_{kind}_{axis}", "joint_link_4", unit, kind, bias=bias)
         for kind in ("force", "moment")
         for axis, unit in zip("xyz", np.eye(3), strict=True)
     ]
@@ -67,53 +65,6 @@ def test_a_wrist_cell_in_gravity_reads_mujocos_force_and_torque(rng, links):
     found = rows.regressor(*joints, standing(vehicle, TICKS)) @ rows.chi
     np.testing.assert_allclose(found[:, :6], wrist, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found[:, 6:], torques, rtol=1e-9, atol=1e-9)
-
-
-def test_a_scale_is_a_column_of_what_the_cell_should_read(rng, links):
-    vehicle = arm_with_cell(links)
-    joints, _, wrist = on_a_bench(rng, links)
-    rows = RowModel(vehicle, six_axes(scale=True))
-    assert rows.names[-12::6] == ("bias_wrist_force_x", "scale_wrist_force_x")
-    bias, scale = rng.normal(size=6), rng.uniform(-0.1, 0.1, 6)
-    Y = rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist + bias)
-    found = Y @ np.r_[vehicle.chi, bias, scale]
-    np.testing.assert_allclose(found, (wrist + bias) * (1.0 + scale), rtol=1e-9, atol=1e-9)
-    with pytest.raises(SignalError, match="give the predicted readings"):
-        rows.regressor(*joints, standing(vehicle, TICKS))
-    with pytest.raises(SignalError, match="give the predicted readings"):
-        rows.regressor(*joints, standing(vehicle, TICKS), predicted=wrist[:, :5])
-
-
-def test_a_known_load_tells_the_torque_constants(rng, links):
-    """Constants 10 % off, links unknown, a payload that was weighed: currents alone give the constants back."""
-    vehicle = arm_with_cell(links)
-    ticks = [on_a_bench(rng, links) for _ in range(40)]
-    joints = tuple(np.concatenate([t[0][k] for t in ticks]) for k in range(3))
-    torque = np.concatenate([t[1] for t in ticks])
-    model = RowModel(vehicle, [replace(joint_torque_row(vehicle, j.name, False), scale=True) for j in vehicle.joints])
-    base = base_parameters(model, rng)
-    links_sigma = {"base": 1.0, "link_1": 1.0, "link_2": 1.0, "link_3": 1.0, "link_4": 1e-6}
-    prior = prior_root(model, links_sigma, {name: 0.3 for name in model.names if name.startswith("scale")})
-    scale = np.array([0.1, -0.05, 0.08])
-    read = torque * (1.0 + scale)  # current times the nominal constant
-    held = np.arange(len(read)) % 2 == 0
-    without = [link for link in links if link.name != "link_4"]
-    empty = to_mujoco(without)
-    empty.opt.gravity[:] = GRAVITY
-    still = np.zeros(3)
-    for k in np.flatnonzero(~held):
-        read[k] = inverse_dynamics(empty, *(s[k] for s in joints), still, still, still, still)[2] * (1.0 + scale)
-    mean = base.value(model.chi)
-    for _ in range(8):  # the rows are linear for a given prediction
-        motion = (*joints, standing(vehicle, len(read)), held)
-        drawn = model.regressor(*motion, predicted=np.zeros(read.shape))[..., base.independent] @ mean
-        rows = model.regressor(*motion, predicted=drawn)[..., base.independent]
-        rls = SquareRootRls(len(base.names))
-        rls.prior(base.value(model.chi), base.covariance(prior) + 1e-12 * np.eye(len(base.names)))
-        rls.update(rows.reshape(-1, rows.shape[2]), read.ravel(), np.full(read.size, 1e-6))
-        mean = rls.solve().mean
-    found = dict(zip(base.names, mean, strict=True))
-    np.testing.assert_allclose([found[f"scale_torque_{j.name}"] for j in vehicle.joints], scale, atol=1e-4)
 
 
 def test_a_planar_base_has_three_rows(links):

@@ -99,10 +99,6 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "Rows further apart than this are taken to err independently; five times smoothing_ms if not given.",
             "errors are slower than that (thermal, sloshing)",
         ),
-        "scales": _M(
-            'Scales of load cells: "considered" widens intervals by scale_sigma; "estimated" makes each a parameter.',
-            "several cells see the same load",
-        ),
         "row_noise": _M('"by_frequency" filters rows by their noise: no free base.', "no gear is in the residuals"),
         "base_rows": _M("Components of the base's wrench that are known to be zero and make rows.", "the base is free"),
         "base_force_sigma_N": _M("How well that force is known to be zero, 1 sigma.", "thrusters, drag or cables act"),

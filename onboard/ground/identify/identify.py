@@ -208,7 +208,7 @@ def _one(
         held_link = who.model.vehicle.spec.payload_link
         drawing = fitted_drawing(who.model.vehicle.links, after, [one for one in links if one.link != held_link])
     away = {one.link: one.away for one in links}
-    of_bodies = who.block_jackknife(exact=not who.model.scales).mean  # and not of errors of instruments
+    of_bodies = who.block_jackknife(exact=True).mean  # and not of errors of instruments
     if thrown is not None and thrown.principal is not None:
         away[f"the load {thrown.load.name}"] = thrown.principal.away
     evidence = Evidence(

@@ -34,7 +34,6 @@ class _Judged(Protocol):
     def fitted_errors(self) -> Fitted | None: ...
     def block_jackknife(self, exact: bool = False) -> JackknifeEstimate: ...
     def fits(self) -> tuple[InstrumentFit, ...]: ...
-    def scales(self, jackknife: JackknifeEstimate) -> dict[str, float]: ...
     def contradiction(self, jackknife: JackknifeEstimate) -> str: ...
 
 
@@ -51,11 +50,12 @@ def found(of: _Judged) -> Findings:
     else:
         judged = [of.suspects.judged()]
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]
-    scales, errors = {} if of.suspects else of.scales(jackknife), of.fitted_errors
+    errors = of.fitted_errors
     judged.append(((errors.misread,) if errors and errors.misread else (),))
-    judged += [(too_large(one), doubtful(one)) for one in (errors.in_sigmas if errors else {}, scales)]
+    in_sigmas = errors.in_sigmas if errors else {}
+    judged.append((too_large(in_sigmas), doubtful(in_sigmas)))
     for texts, more in (pair for one in judged for pair in zip(said, one, strict=False)):
         texts.extend(more)
-    if of.payload and not of.suspects and not too_large(scales) and (why := of.contradiction(jackknife)):
+    if of.payload and not of.suspects and (why := of.contradiction(jackknife)):
         against.append(why)
     return Findings(tuple(against), tuple(doubts), tuple(told))

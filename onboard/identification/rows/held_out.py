@@ -40,7 +40,7 @@ def held_out(identifier: Identifier) -> HeldOut | None:
         return None
     earlier, later = found
     # without what an answer by hypotheses gives to errors of instruments, which is in no sum of `predicted`
-    everything = identifier.block_jackknife(exact=not identifier.model.scales).mean
+    everything = identifier.block_jackknife(exact=True).mean
     both = earlier.normal + later.normal
     reference = reference_of(identifier.model, identifier.base, both)
     return HeldOut(

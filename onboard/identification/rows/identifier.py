@@ -29,7 +29,6 @@ from onboard.identification.rows.row_blocks import RowBlocks, instrument_of
 from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors, Start, check, of_motion
 from onboard.identification.rows.stated_errors.drawing import Unstated, answered, off_drawing, unstated
 from onboard.identification.rows.stated_errors.fitted_corrections import Fitted, FittedCorrections
-from onboard.identification.rows.stated_errors.scales import estimated_scales, fill_scales
 from onboard.identification.rows.stated_errors.stated import ByErrors, Stated, StatedSigmas, Taken
 from onboard.identification.rows.stated_errors.whitening import NoisyRows, Whitening
 from onboard.regressor.base_parameters import BaseParameters
@@ -56,9 +55,8 @@ class Identifier:
         imu_frame: whose axes and place the noise of the base's motion is given for; the base link's where not given.
         start: warm start; default: the prior.
         whitening: of the rows' noise, for a base that is not free; none is whitened where not given.
-        stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free and
-            scales that are not estimated, it is taken as wide as the rows ask
-            (:mod:`onboard.identification.rows.stated_errors.stated`).
+        stated: what states the sigma of each standard parameter, (P,). Where given, for a base that is not free, it is
+            taken as wide as the rows ask (:mod:`onboard.identification.rows.stated_errors.stated`).
         recorded_apart: rows with the payload and those without are of different recordings.
         suspects: weighs what may not be as stated; nothing is, where not given.
 
@@ -103,7 +101,6 @@ class Identifier:
         self.whitening, self._recorded_apart = whitening, recorded_apart
         self._bank = suspects
         p = len(base.names)
-        self._scales = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         known = np.where(base.grouping.any(axis=0), 0.0, model.chi)  # in no base parameter: known, or no matter
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], known]))
         self.payload = grasped_payload(model, base)
@@ -112,7 +109,7 @@ class Identifier:
         self._as_stated = Taken.of(self.rls, considered, base, prior_root, model.chi)
         self.rls.prior(*(start or (base.value(model.chi), self._as_stated.covariance)))
         self.gate = ResidualGate(residual_sigma, huber=huber_sigma)
-        self._noise = RowNoise(model, self._fold, self._scales, imu_frame or model.vehicle.spec.base_link)
+        self._noise = RowNoise(model, self._fold, imu_frame or model.vehicle.spec.base_link)
         self.rows_used, self._inflation, self.innovation = 0, 1.0, np.zeros((0, len(rows)))
         self.refused = none_refused()
         instruments = tuple(dict.fromkeys(instrument_of(name) for name in rows))
@@ -132,7 +129,7 @@ class Identifier:
         self._corrected: tuple[int, Fitted] | None = None  # rows used, and the corrections that they give
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
-        if stated and not free and not self._scales and start is None:
+        if stated and not free and start is None:
             of_file = stated, considered, instruments, base, self._as_stated
             self._stated = StatedSigmas(*of_file, estimates=not model.vehicle.spec.base.moves)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
@@ -197,13 +194,13 @@ class Identifier:
             self._batch(signals, attached, found, slice(first, first + self.batch_ticks))
         count_refused(self.refused, found)
         if self._bank is not None:
-            self._bank.go_on(self, bool(self._scales), bool(self.contradicted))
+            self._bank.go_on(self, bool(self.contradicted))
         return found
 
     @property
     def suspects(self) -> RowSuspects | None:
         """Those whose answer takes the place of the recursion's, if there are."""
-        return self._bank if self._bank is not None and (self._scales or self._bank.explains) else None
+        return self._bank if self._bank is not None and self._bank.explains else None
 
     def finish(self) -> None:
         """Judge all rows, and not a fifth less: no more come."""
@@ -223,16 +220,14 @@ class Identifier:
         motion = BaseMotion(*(v[at] for v in signals.motion))
         joints = signals.q[at], signals.dq[at], signals.ddq[at]
         z = None if signals.friction is None else signals.friction[at]
-        Y = self.model.regressor(*joints, motion, attached[at], True, np.zeros(use.shape), self._fold, z)
-        if self._scales:
-            fill_scales(self.rls, self._scales, Y, signals.measured[at], signals.sigma[at], use)
+        Y = self.model.regressor(*joints, motion, attached[at], fold=self._fold, friction=z)
         asked = signals, at, use, attached
         rows = self.errors.biased(Y[..., :-1][use], self.base.names, asked, self.about, self.rls)  # (r, p)
         y, sigma = (signals.measured[at] - Y[..., -1])[use], signals.sigma[at][use]  # (r,)
         doubt, effect = None, np.zeros((len(y), 0))
         if signals.noise is not None:
             mean = self.rls.solve().mean if self.about is None else self.about
-            changes, group = self._noise.changes(signals, signals.noise, at, attached, mean if self._scales else None)
+            changes, group = self._noise.changes(signals, signals.noise, at, attached)
             doubt = changes[group][use]  # (r, s, p + 1)
             effect = (doubt @ [*mean, -1.0]) * signals.noise.inflation
             sigma = np.sqrt(sigma**2 + np.einsum("rs,rs->r", effect, effect))
@@ -277,10 +272,6 @@ class Identifier:
         drawn = self.base.value(self.model.chi), self._as_stated.covariance
         return "" if self._stated else contradiction(self.base.names, jackknife, *drawn)
 
-    def scales(self, jackknife: JackknifeEstimate) -> dict[str, float]:
-        """Scales of cells that are estimated, by name, in their stated sigmas."""
-        return estimated_scales(self.base.names, self._scales, jackknife.mean, self._as_stated.covariance)
-
     @property
     def taken(self) -> Taken:
         """What is stated of the parameters and gains, as wide as the rows asked when it was last looked at."""
@@ -298,7 +289,7 @@ class Identifier:
         return self.taken.answer
 
     def fits(self) -> tuple[InstrumentFit, ...]:
-        """How each instrument's rows stand to the estimate of all with gains as stated."""
+        """How each instrument's rows stand to the estimate of all; gains as stated, or as the answer has them."""
         if self._fitted is None or self._is_due(self._fitted[0]):
             mean, drawn = self._recursions(False).mean, self.base.value(self.model.chi)
             taken = self.taken.by(self.rls)
@@ -307,7 +298,9 @@ class Identifier:
             asked = mean, plain, *bodies, prior, self._inflation**2, self._recorded_apart
             causes = self.considered[: self.seen.considered]
             friction = {k: one.axis for k, one in enumerate(causes) if one.effect == "held_friction"}
-            beside = but_gains(taken.considered[: len(causes)], causes), friction
+            since_s = self.errors.settled_s(self.seen, mean) if self.by_errors else (-np.inf, -np.inf)  # as it has them
+            sigma = taken.considered[: len(causes)]
+            beside = sigma if self.by_errors else but_gains(sigma, causes), friction, since_s
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, *beside), self.considered)
         return self._fitted[1]
 

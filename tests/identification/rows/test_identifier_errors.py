@@ -208,7 +208,7 @@ def test_noise_of_a_signal_is_noise_in_what_an_error_of_its_reading_does(rng, ef
             noisy.append(signals._replace(motion=base_motion(rocksat_flight.setup()[0], "imu_base", *parts)))
     n = len(signals.time_s)
     spread = SignalNoise(*[np.full((n, 1), 1e-3)] * 3, *[np.full((n, 3), 1e-3)] * 3)
-    changes, _ = who._noise.changes(signals, spread, at, held, mean)
+    changes, _ = who._noise.changes(signals, spread, at, held)
     expected = misread_noise([cause], [joint])[0] @ (changes[0] @ [*mean, -1.0]).T  # (s, rows)
     found = np.array([done(one) - done(signals) for one in noisy])
     of_joint = effect == "joint_scale"  # an angle multiplies the others' noise, too

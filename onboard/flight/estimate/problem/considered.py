@@ -77,20 +77,15 @@ def of_bias(imu: ImuRole, left: config.ImuPriorKeys, *, accelerometer: bool) -> 
             yield Considered(what, imu.frame, effect, sigma, f"imu_prior.{key}", axis)
 
 
-def of_cell(cell: LoadCellRole, *, scaled: bool) -> list[Considered]:
-    """Errors of one cell that it cannot distinguish from mass, and those that its rows do not estimate.
-
-    Args:
-        cell: a load cell or a motor's torque.
-        scaled: its scale is estimated.
-    """
+def of_cell(cell: LoadCellRole) -> list[Considered]:
+    """Errors of one cell that its rows do not estimate; ``cell``: a load cell or a motor's torque."""
     name, keys = cell.name, cell.keys
     lever = " and lever_sigma_m" if isinstance(keys, LoadCellKeys) and keys.lever_sigma_m else ""
     scale = Considered(f"scale of {name}", name, "scale", keys.relative_sigma, f"{name} scale_sigma{lever}")
     delay = Considered(f"delay of {name}", name, "delay", cell.delay_sigma_s, f"{name} delay_sigma_ms")
     drift_N_s = keys.drift_N_s if isinstance(keys, LoadCellKeys) else 0.0
     drift = Considered(f"drift of {name}'s zero", name, "drift", drift_N_s, f"{name} zero_drift_N_s")
-    found = [*([] if scaled else [scale]), delay, *([drift] if drift_N_s else [])]
+    found = [scale, delay, *([drift] if drift_N_s else [])]
     if isinstance(keys, TorqueKeys) and keys.changed_sigma:  # recorded with the payload, and without
         what, key = f"scale of {name} with the payload", f"{name} between_recordings_sigma"
         found.append(Considered(what, name, "held_scale", keys.changed_sigma, key))

@@ -203,12 +203,9 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         check_springs(vehicle, "not to rows")
         rows: list[WrenchRow] = []
         considered: list[Considered] = []
-        scales: dict[str, float] = {}
         for cell in roles.cells:
-            scaled = settings.scales == "estimated" and cell.keys.relative_sigma > 0.0
-            rows.append(_cell_row(cell, model, scaled))
-            considered += of_cell(cell, scaled=scaled)
-            scales |= {f"scale_{cell.name}": cell.keys.relative_sigma} if scaled else {}
+            rows.append(_cell_row(cell, model))
+            considered += of_cell(cell)
         considered = [*of_gains(considered, roles, recorded=vehicle.is_recorded), *of_motion(roles, model)]
         zero_force, gyro_bias = biases(vehicle)
         if roles.imus:
@@ -223,7 +220,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
         weighed = weighs_suspects(vehicle, row_model)
         considered += of_no_key(considered, row_model) if weighed else []
         offsets = dict.fromkeys(row_model.zero_force, zero_force or 0.0)
-        prior = row_prior(settings.prior, row_model, {**offsets, **scales}, level)
+        prior = row_prior(settings.prior, row_model, offsets, level)
         known = np.asarray(~prior.any(axis=1), np.bool_)
         base = base_parameters(row_model, np.random.default_rng(NAMING_SEED), known=known)
         considered += of_friction(base) if vehicle.is_recorded else ()
@@ -275,13 +272,13 @@ def _start(vehicle: config.Vehicle, names: tuple[str, ...]) -> Start:
     return Start(np.array(carried.mean), np.array(carried.covariance), sensitivity)
 
 
-def _cell_row(cell: LoadCellRole, model: VehicleModel, scaled: bool) -> WrenchRow:
+def _cell_row(cell: LoadCellRole, model: VehicleModel) -> WrenchRow:
     """The row of a load cell or of a joint's torque."""
     keys = cell.keys
     if isinstance(keys, TorqueKeys):
         row = joint_torque_row(model, keys.joint, keys.friction)
-        return replace(row, name=cell.name, bias=True, scale=scaled)
-    return load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m, scale=scaled)
+        return replace(row, name=cell.name, bias=True)
+    return load_cell_row(cell.name, keys.frame, keys.axis, keys.measures, keys.lever_m)
 
 
 def _motors(vehicle: config.Vehicle, roles: Roles) -> list[Motor]:

@@ -132,7 +132,7 @@ def _parked(plan: MotionPlan, joint: int) -> MotionPlan:
 def _less(vehicle: config.Vehicle, names: set[str]) -> config.Vehicle:
     kept = {name: device for name, device in vehicle.file.device.items() if name not in names}
     settings = vehicle.file.estimation
-    columns = {f"{kind}_{name}" for name in names for kind in ("bias", "scale")}  # that its row had
+    columns = {f"bias_{name}" for name in names}  # that its row had
     absolute = {name: sigma for name, sigma in settings.prior.absolute.items() if name not in columns}
     prior = settings.prior.model_copy(update={"absolute": absolute})
     nuisance = [name for name in settings.nuisance if name not in columns]

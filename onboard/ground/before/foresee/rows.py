@@ -163,9 +163,8 @@ class StatedNoise:
         names = [joint.name for joint in row_model.vehicle.joints]
         friction = CoulombFriction(row_model.motors, names).follow(plan.q, plan.dq) if row_model.motors else None
         flowing = None if friction is None else np.nan_to_num(friction)
-        zero = np.zeros((n, len(row_model.rows)))
         motions = plan.q, plan.dq, plan.ddq, motion, plan.held
-        true = row_model.regressor(*motions, fill_zero_force=False, predicted=zero, friction=flowing) @ chi
+        true = row_model.regressor(*motions, fill_zero_force=False, friction=flowing) @ chi
         sigma, refused = _of_rows(self._vehicle, self._identifier, plan, friction)
         stated = noise_of_joints(self._joints.at(plan.dq), plan.dq, plan.ddq)
         sources = np.hstack([*stated, *(np.broadcast_to(part, (n, 3)) for part in self._of_base)])  # (n, 3 joints + 9)

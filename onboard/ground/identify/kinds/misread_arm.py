@@ -95,7 +95,7 @@ class _ArmRecording:
         motion, n = way.angles.joints(*self._joints), self.ticks
         measured = way.torque_factor * self._measured[:, list(way.torque_order)]
         held = np.asarray(self._held != way.held_before, np.bool_)
-        Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held, predicted=measured)
+        Y = self._rows.regressor(*motion, standing(self._rows.vehicle, n), held)
         size = measured.std(axis=0)
         weight = 1.0 / (MOST_UNEXPLAINED * np.where(size > 0.0, size, np.inf))
         J = (Y @ self._root * weight[:, None]).reshape(n * len(size), -1)

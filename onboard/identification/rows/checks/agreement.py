@@ -3,8 +3,8 @@
 Per instrument, at the estimate of all rows:
 
 - *Gain*: a step of it, and an error of it against the other instruments (:class:`GainTests`), all considered errors but
-  gains estimated beside it: a drift of a zero is no step. Rows that read nothing, those of a wrench known to be zero,
-  have no gain.
+  gains estimated beside it, and gains, too, where the answer is by these: a drift of a zero is no step. Rows that read
+  nothing, those of a wrench known to be zero, have no gain.
 - *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
   what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
   it is reported, its effect is in the intervals, and nothing is refused for it.
@@ -242,6 +242,7 @@ def instrument_fits(
     recorded_apart: bool = False,
     considered: FloatArray = _NONE,
     friction: Mapping[int, int | None] = _NOTHING,
+    since_s: tuple[float, float] = (-np.inf, -np.inf),
 ) -> tuple[InstrumentFit, ...]:
     """Gain step, misfit and response of each instrument's rows, by the equations in this module's head.
 
@@ -258,24 +259,32 @@ def instrument_fits(
         considered: sigmas of the considered errors, (k,): of those with one, what else may explain a gain.
         friction: which of them are shares of a parameter of rows with the payload, and of which: columns in the blocks
             are of the estimates of their times, which turn to what friction is with the payload.
+        since_s: blocks of rows without the payload, and with it, that begin earlier are left out.
     """
     of_shares = np.eye(len(mean) + len(considered) + 2)
     for share, parameter in friction.items():
         of_shares[:, len(mean) + share] = mean[parameter] * of_shares[:, parameter]
     none = np.zeros(len(considered))
     v, *others = (np.concatenate([one, none, [-1.0, 0.0]]) for one in (mean, plain, drawn))
-    rows_of = {part: blocks.with_errors(*part) for part in blocks.parts}
+    late = {part: blocks.times_s(*part) >= since_s[part[0]] for part in blocks.parts}
+    late = {part: which for part, which in late.items() if which.any()}
+    times_s = {part: blocks.times_s(*part)[which] for part, which in late.items()}
+    rows_of = {}
+    for part, which in late.items():
+        of_rows, noise = blocks.with_errors(*part)
+        rows_of[part] = of_rows[which], noise[which]
     rows_of |= {
         part: (of_shares.T @ N @ of_shares, of_shares.T @ noise @ of_shares)
         for part, (N, noise) in rows_of.items()
         if part[0]
     }
-    judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
+    judged = {part: _part(times_s[part], *rows_of[part], v, correlation) for part in rows_of}
     every = block_diag(prior, np.diag(correlation / np.maximum(considered, _EXACT) ** 2))
     every += sum(part.H.sum(axis=0) for part in judged.values())
     if len(none) and judged:
-        v[:-2] += _beside(every, sum(part.scores.sum(axis=0) for part in judged.values()), len(mean))
-        judged = {part: _part(blocks.times_s(*part), *rows_of[part], v, correlation) for part in blocks.parts}
+        scores = sum(part.scores.sum(axis=0) for part in judged.values())
+        v[:-2] += _beside(every, scores, prior @ (drawn - mean))
+        judged = {part: _part(times_s[part], *rows_of[part], v, correlation) for part in rows_of}
     body, plan = np.append(np.where(physical, v[: len(mean)], 0.0), none), np.where(physical, drawn, 0.0)
     found = []
     begins = [
@@ -285,7 +294,7 @@ def instrument_fits(
     another_s = max(begins) if recorded_apart else np.inf  # when the second of the recordings begins
     for number, name in enumerate(blocks.instruments):
         parts, squares, worst = list[Blocks](), np.zeros(4), (False, 0.0, 0.0)
-        for held, own in blocks.parts:
+        for held, own in rows_of:
             if own != number:
                 continue
             (of_rows, noise), left = rows_of[held, number], judged[held, number].left
@@ -297,7 +306,9 @@ def instrument_fits(
             whole = left.sum() + sums[1] if sums[3] else _sums(of_rows + noise, known).sum()
             unexplained = min(1.0, np.sqrt(left.sum() / whole)) if whole else 1.0
             of_motion = [max(float(one @ noise.sum(axis=0) @ one), 0.0) for one in (v, *others)]
-            expected = blocks.own(held, number) + correlation * min(of_motion[0], max(of_motion[1:]))
+            expected = blocks.own(held, number) * float(late[held, number].mean()) + correlation * min(
+                of_motion[0], max(of_motion[1:])
+            )
             misfit = float(left.sum() / expected)
             worst = max(worst, (misfit * correlation > MISFIT_PART, float(unexplained), misfit))
             if readings.any():
@@ -313,15 +324,15 @@ def instrument_fits(
     return tuple(found)
 
 
-def _beside(every: FloatArray, scores: FloatArray, parameters: int) -> FloatArray:
+def _beside(every: FloatArray, scores: FloatArray, of_prior: FloatArray) -> FloatArray:
     """By how much an estimate of p parameters alone, and errors of zero, are off that of both, (p + k,).
 
     Args:
         every: information on both, (p + k, p + k).
         scores: sum of all rows' scores at that estimate, (p + k,).
-        parameters: p.
+        of_prior: the same of the prior of the parameters, (p,).
     """
-    return np.asarray(np.linalg.solve(every, np.append(np.zeros(parameters), scores[parameters:])), np.float64)
+    return np.asarray(np.linalg.solve(every, scores + np.append(of_prior, np.zeros(len(scores) - len(of_prior)))))
 
 
 def _sums(N: FloatArray, v: FloatArray) -> FloatArray:

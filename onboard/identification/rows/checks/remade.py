@@ -7,8 +7,7 @@ accelerations are first corrected for errors of the encoders, and readings for t
     reading = (1 + gain) (Y(q', dq', ddq') chi + bias)
 
 with the specific force turned by how far the base is from level, and the wrench by how far the cells are turned in
-their mount. A gain is a base parameter or, where it is not estimated, an error. Derivatives by errors of motion are
-differences.
+their mount. Derivatives by errors of motion are differences.
 
 Ticks are kept in constant memory.
 """
@@ -105,7 +104,6 @@ class RowsRemade:
         names = [row.name for row in model.rows]
         self._joints = [joint.name for joint in model.vehicle.joints]
         self._row = [names.index(one.row) if one.effect in OF_READING and one.row in names else 0 for one in errors]
-        self._gains = [(row, int(np.flatnonzero(base.independent == column)[0])) for row, column in model.scales]
         self._known, self._independent = np.where(base.grouping.any(axis=0), 0.0, model.chi), base.independent
         self._fold = model.fold(np.column_stack([np.eye(len(model.names))[:, base.independent], self._known]))
         self._scaled = {k: names.index(one.row) for k, one in enumerate(errors) if one.effect == "scale"}
@@ -116,23 +114,17 @@ class RowsRemade:
         """Readings and their derivatives about base parameters (p,) and errors (k,)."""
         moving = [k for k, one in enumerate(self._errors) if one.effect in MOVING]
         Y = self._rows(ticks, errors)
-        without = Y[..., :-1].copy()
-        without[..., [column for _, column in self._gains]] = 0.0
-        wrench = without @ beta + Y[..., -1]  # (t, m) before gains
+        wrench = Y @ [*beta, 1.0]  # (t, m) before gains
         mix = np.eye(wrench.shape[1]) + sum(errors[k] * T for k, T in self._turned.items())
         mixed = wrench @ mix.T
         gain = np.ones(mixed.shape)
-        for row, column in self._gains:
-            gain[:, row] += beta[column]
         for k, row in self._scaled.items():
             gain[:, row] += errors[k]
         steps = np.ones_like(gain)
         for k, later in self._later(len(gain)):
             steps[:, self._row[k]] += errors[k] * later
         slope = np.zeros((*gain.shape, self._p + len(errors)))
-        slope[..., : self._p] = (gain * steps)[..., None] * (mix @ without)
-        for row, column in self._gains:
-            slope[:, row, column] = steps[:, row] * mixed[:, row]
+        slope[..., : self._p] = (gain * steps)[..., None] * (mix @ Y[..., :-1])
         for k, row in self._scaled.items():
             slope[:, row, self._p + k] = steps[:, row] * mixed[:, row]
         for k, change in zip(moving, self._changes(ticks, beta, errors, moving), strict=True):
@@ -150,7 +142,7 @@ class RowsRemade:
         return RemadeRows(reading, slope)
 
     def moved(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray) -> FloatArray:
-        """Readings alone, (t, m), of cells without errors, whose scales are not estimated; of others see :meth:`at`."""
+        """Readings alone, (t, m), of cells without errors; of others see :meth:`at`."""
         return np.asarray(self._rows(ticks, errors) @ [*beta, 1.0], np.float64)
 
     def _axis(self, error: Considered) -> FloatArray:
@@ -167,10 +159,9 @@ class RowsRemade:
     def _rows(self, ticks: SmoothedTicks, errors: FloatArray) -> FloatArray:
         """Rows of the corrected motion, (t, m, p + 1); what is known last."""
         q, dq, ddq, force = self._corrected(ticks, errors)
-        still, none = np.zeros_like(force), np.zeros_like(ticks.measured)
+        still = np.zeros_like(force)
         motion = BaseMotion(still, still, force)
-        held, friction = ticks.attached, ticks.friction
-        return self._model.regressor(q, dq, ddq, motion, held, predicted=none, fold=self._fold, friction=friction)
+        return self._model.regressor(q, dq, ddq, motion, ticks.attached, fold=self._fold, friction=ticks.friction)
 
     def _changes(self, ticks: SmoothedTicks, beta: FloatArray, errors: FloatArray, moving: Sequence[int]) -> FloatArray:
         """Derivatives of the wrenches before gains by errors of the motion, (s, t, m)."""

@@ -38,8 +38,7 @@ def suspected(considered: Sequence[Considered], model: RowModel) -> tuple[Consid
     asked: list[tuple[str, Effect, float, int | None]]
     asked = [(joint.name, effect, size, None) for joint in model.vehicle.joints for effect, _, size in _OF_ENCODER]
     asked += [(row.name, "delay", LIKELY_DELAY_s, None) for row in model.rows]
-    estimated = [row for row, _ in model.scales]
-    asked += [(row.name, "scale", LIKELY_SIZE, None) for k, row in enumerate(model.rows) if k not in estimated]
+    asked += [(row.name, "scale", LIKELY_SIZE, None) for row in model.rows]
     asked += [(row.name, "step", LIKELY_SIZE, place) for row in model.rows for place in range(STEPS)]
     for axis in range(3):
         asked += [(frame, "turned", LIKELY_SIZE, axis) for frame in dict.fromkeys(row.frame for row in model.rows)]
@@ -139,7 +138,7 @@ class ErrorState:
         return np.asarray((self._grouping @ prior_root)[:, self._active], np.float64)
 
     def of(self, half: FloatArray, instruments: Sequence[str]) -> RowErrors:
-        """These errors, where cells have no estimated scale; ``half``: of the prior; ``instruments``: names of rows."""
+        """These errors; ``half``: of the prior; ``instruments``: names of rows."""
         reads = [[(one.row, one.effect) == (name, "scale") for name in instruments] for one in self.of_instruments]
         return RowErrors(half, self.centre, self.sigma, self.columns, np.array(reads), self._bodies)
 
@@ -183,10 +182,8 @@ class ErrorState:
         yield from self._cells(model)
 
     def _cells(self, model: RowModel) -> Iterator[Suspect]:
-        names, columns = [row.name for row in model.rows], dict(model.scales)
-        scales = [
-            self._place([columns[k]]) if k in columns else self._places(name, "scale") for k, name in enumerate(names)
-        ]
+        names = [row.name for row in model.rows]
+        scales = [self._places(name, "scale") for name in names]
         odds = 1.0 / len(names)
         for name, scale in zip(names, scales, strict=True):
             yield self._scaled(name, scale, ODDS * odds)

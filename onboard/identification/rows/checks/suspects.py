@@ -1,31 +1,31 @@
 """Hypotheses of errors of an arm on a fixed base, and the answer under each.
 
-Where its cells' scales are estimated, the answer is always theirs; where scales are stated, once something is likelier
-wrong, and explains all rows: with it no more is left over than is doubted of noise. Else there is no answer where a
-share of the rows contradicts the others, and the likeliest hypotheses are named.
+The answer is theirs once something is likelier wrong, and explains all rows: with it no more is left over than is
+doubted of noise. Else there is no answer where a share of the rows contradicts the others, and the likeliest hypotheses
+are named.
 
 All suspects (:mod:`onboard.identification.rows.checks.suspected`) compete with "as stated" in one bank
 (:mod:`onboard.identification.evidence.bank`), whose state is z: the errors of the prior, ``beta = beta_0 + G L z``, and
 those of instruments, each over its stated sigma. z is found by Gauss and Newton about the likeliest hypothesis, since
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
-stated. Equations are, where scales are stated, the sums over all rows
-(:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these are beyond linear where angles are likelier
-wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where scales are estimated, where rows contradict each
-other, or where that leaves more over than is doubted of noise, they are rows of kept ticks that are made again
-(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses; so they are where nothing
-is likelier wrong by the sums, for errors that these do not have: delays, steps, mounts.
+stated. Equations are the sums over all rows (:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these
+are beyond linear where angles are likelier wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where that
+explains nothing, they are rows of kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`),
+those included that the recursion refuses. These answer for errors that the sums do not have, of delays, steps, mounts,
+and angles that are far off; and where by the sums nothing is likelier wrong, but what is stated had to be taken wider
+(:mod:`onboard.identification.rows.stated_errors.stated`): a gripper that is heavier than it was weighed is to most
+motions the same as cells that all read too much.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
 more than are correlated. Outliers have Huber's weights.
 
-The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows. It
-takes the place of the recursion's: where scales are estimated, its gains multiply masses that were not known yet when
-their rows came. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of both
-answers. What noise of the regressor adds to the information of all rows is taken off that of those kept.
+The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows, in
+place of the recursion's. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of
+both answers. What noise of the regressor adds to the information of all rows is taken off that of those kept.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -35,6 +35,7 @@ from onboard.estimation.policy import (
     AGAIN,
     DOUBT,
     MISFIT_PART,
+    MISFIT_REFUSED,
     MOST_SHARE,
     MOSTLY,
     READING,
@@ -103,8 +104,6 @@ class RowSuspects:
         self._half, self._centre, self._sigma = errors.half(prior_root), errors.centre, errors.sigma
         self._n, self._bank = errors.parameters, errors.bank
         self._names = [row.name for row in model.rows]
-        self._gain_of = {row: int(np.flatnonzero(base.independent == column)[0]) for row, column in model.scales}
-        self._is_gain = np.isin(np.arange(len(self._centre)), list(self._gain_of.values()))
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
@@ -113,11 +112,23 @@ class RowSuspects:
 
     @property
     def explanation(self) -> str:
-        """What is likelier wrong than all as stated; empty where nothing is, or much is left over with it."""
+        """What is likelier wrong than all as stated; empty where nothing is, or much is left over with it of others."""
         if self.weighed is None:
             return ""
-        too_far, named = self.weighed.judged
-        return "".join(too_far or named) if self.judged()[0] == too_far else ""
+        suspect, errors = self.weighed.likeliest.suspect, self._errors.of_instruments
+        own = {errors[k].row for k in suspect.at - self._n if k >= 0} if suspect else set[str]()
+        left = self._left is not None and (
+            bool(contradicted_text(self._left.far))
+            or any(is_most and name not in own for name, _, is_most in self._left_over())
+        )
+        return "" if left else "".join(sum(self.weighed.judged, ())[:1])
+
+    def _left_over(self) -> Iterator[tuple[str, float, bool]]:
+        """Rows of which the likeliest hypothesis leaves much over, the share, and whether it is too much."""
+        if self._left is not None:
+            for name, share, noise in zip(self._names, self._left.of_read, self._left.noise, strict=True):
+                if noise > MISFIT_PART and share > MOSTLY * MOST_UNEXPLAINED:
+                    yield name, float(share), bool(share > MOST_UNEXPLAINED)
 
     def judged(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Reasons to refuse all estimates, and to doubt them."""
@@ -128,10 +139,8 @@ class RowSuspects:
             return tuple(against), tuple(doubts)
         if contradicted := contradicted_text(self._left.far):
             against.append(contradicted)
-        for name, share, noise in zip(self._names, self._left.of_read.tolist(), self._left.noise.tolist(), strict=True):
-            if noise > MISFIT_PART and share > MOSTLY * MOST_UNEXPLAINED:
-                said = f"{share:.0%} of what {name} reads is left over"
-                (against if share > MOST_UNEXPLAINED else doubts).append(said)
+        for name, share, is_most in self._left_over():
+            (against if is_most else doubts).append(f"{share:.0%} of what {name} reads is left over")
         return tuple(against), tuple(doubts)
 
     def take(self, signals: Signals, at: IndexArray, attached: BoolArray, use: BoolArray, sigma: FloatArray) -> None:
@@ -157,12 +166,11 @@ class RowSuspects:
         held = use[attached].sum()
         self._rows += held, use.sum() - held
 
-    def go_on(self, of: _Estimated, scaled: bool, contradicted: bool) -> None:
+    def go_on(self, of: _Estimated, contradicted: bool) -> None:
         """Weighs the hypotheses anew where there are a fifth more rows than when they were.
 
         Args:
             of: the recursion.
-            scaled: whether cells' scales are estimated.
             contradicted: whether it leaves out more rows than good data hold that contradict the others. What explains
                 the other rows has to explain these, too.
         """
@@ -170,33 +178,37 @@ class RowSuspects:
         if ticks is None or len(ticks.time_s) < SHORTEST or (self._rows < AGAIN * self._weighed_at + 1.0).all():
             return
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
-        if not scaled:
-            self._weigh_all(of, mean, ticks)
-        likeliest, answer = self.weighed.names[:1] if self.weighed else (), self.answer
-        linear = scaled or self._left is None  # rows, in the errors of the likeliest
-        again = not (linear or self.explains)  # they are farther from it than noise
-        by_all, asks = (self.weighed, self.answer), not (scaled or contradicted or likeliest)
-        if again or (contradicted and linear) or scaled or asks:
+        self._weigh_all(of, mean, ticks)
+        likeliest, by_all = self.weighed.names[:1] if self.weighed else (), (self.weighed, self.answer)
+        beyond = self._left is not None  # rows, what is linear in the errors of the likeliest
+        if not self.explains:
+            # of rows that contradict each other the recursion has those that agree with the first
+            self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
+            others = beyond or self._errors.is_remade(self.weighed)  # that the sums do not have
+            self.explains = others and bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
+            if not (likeliest or contradicted):
+                if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
+                    self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())
+                if not self.explains:
+                    (self.weighed, self.answer), self._left = by_all, None
+        elif contradicted and not beyond:
             self._weigh(ticks, mean, of.correlation, of.seen)
-        if asks:  # for what the sums do not have
-            self.explains = self._errors.is_remade(self.weighed) and not self.judged()[0]
-            if not self.explains:
-                (self.weighed, self.answer), self._left = by_all, None
-        elif again:
-            self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
-        elif contradicted and linear and not scaled:
-            self.explains &= bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
-            self.answer = answer
-        self._remember(scaled or self.explains)
+            self.explains = bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
+            self.answer = by_all[1]
+        self._remember()
 
-    def _remember(self, answers: bool) -> None:
+    def _is_noise(self) -> bool:
+        """Whether no more is left over of each row than is doubted of noise, and of how alike it is."""
+        return self._left is not None and bool((self._left.noise <= MISFIT_PART * MISFIT_REFUSED).all())
+
+    def _remember(self) -> None:
         """Lets the answer cover that of the weighing before, where another hypothesis was likeliest by that.
 
         Rows that no hypothesis explains, of a reading that is late for a while, may make any of them likeliest while
         few of these are in. Further rows have to say the same before it answers alone.
         """
         before, self._before = self._before, None
-        if answers and self.weighed is not None and self.answer is not None:
+        if self.explains and self.weighed is not None and self.answer is not None:
             suspect = self.weighed.likeliest.suspect
             self._before = suspect.name if suspect else "", self.answer
             if before is not None and before[0] != self._before[0]:
@@ -237,7 +249,7 @@ class RowSuspects:
         return ticks._replace(weight=ticks.weight * alike), math.ceil(correlation / self._kept.every)
 
     def _weigh_all(self, of: _Estimated, mean: FloatArray, ticks: SmoothedTicks) -> None:
-        """The same by the sums over all rows, of cells whose scales are stated.
+        """The same by the sums over all rows.
 
         Rows of before the estimate settled are left out, for what errors do to them was made at another one; where
         that is most of them, nothing is explained.
@@ -303,11 +315,10 @@ class RowSuspects:
             seen: the recursion's rows.
             share: of their information that kept ticks have, by row, (m,).
         """
-        total = np.zeros(len(z))
+        p, total = len(self._centre), np.zeros(len(z))
+        beta = [*(self._centre + self._half @ z), -1.0]
         for row, part in enumerate(share.tolist()):
-            N = self._noise_of_motion(seen, row)
-            M, v = self._turning(row, z)
-            total += part * (M.T @ (N @ (M @ z - v)))
+            total += part * (self._half.T @ (self._noise_of_motion(seen, row) @ beta)[:p])
         return total
 
     def _noise_of_motion(self, seen: RowBlocks, row: int) -> FloatArray:
@@ -315,28 +326,6 @@ class RowSuspects:
         p = len(self._centre)
         parts = [seen.apart(*part)[1].sum(axis=0)[: p + 1, : p + 1] for part in seen.parts if part[1] == row]
         return np.asarray(sum(parts, np.zeros((p + 1, p + 1))), np.float64)
-
-    def _turning(self, row: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How noise of the columns of one kind of row, (p + 1,), acts on derivatives and on what they are held against.
-
-        A cell's scale has what it should read as its column, about this very estimate.
-
-        Args:
-            row: which.
-            z: errors of the prior that rows are made about.
-
-        Returns:
-            (p + 1, n) and (p + 1,).
-        """
-        beta = self._centre + self._half @ z
-        body, drawn = (np.append(np.where(self._is_gain, 0.0, one), -1.0) for one in (beta, self._centre))
-        M = np.diag(np.append(np.where(self._is_gain, 0.0, 1.0), 0.0))[:, :-1]
-        scale = 0.0
-        if (at := self._gain_of.get(row)) is not None:
-            scale = float(beta[at])
-            M = (1.0 + scale) * M
-            M[:, at] = body
-        return M @ self._half, scale * body - (1.0 + scale) * drawn
 
     def equations(
         self, ticks: SmoothedTicks, z: FloatArray, noise: FloatArray

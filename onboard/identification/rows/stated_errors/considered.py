@@ -391,9 +391,8 @@ class ConsideredErrors:
         """Rows of some ticks, (s, t, rows, p + 1), for each of s signals; last what is known."""
         parts = zip(*((one.q, one.dq, one.ddq, *one.motion) for one in each), strict=True)
         q, dq, ddq, *motion = (np.concatenate([one.take(at, axis=0) for one in part]) for part in parts)  # (s t, ...)
-        none = np.zeros((len(q), len(self._model.rows)))
         held, z = np.tile(attached[at], len(each)), each[0].friction  # whose sign no small error changes
         friction = None if z is None else np.tile(z[at], (len(each), 1))
-        about = BaseMotion(*motion), held, True, none, self._fold, friction
+        about = BaseMotion(*motion), held, True, self._fold, friction
         Y = self._model.regressor(q, dq, ddq, *about)
         return np.asarray(Y, np.float64).reshape(len(each), at.size, *Y.shape[1:])

@@ -31,8 +31,7 @@ how much their gains differ, and rows with the payload whether they have changed
 recursion's is, which considers errors of the sizes found here, and changes of friction of the sizes that the rows tell.
 Delays are as stated: what they do to rows is made of derivatives, whose noise is not that of the rows.
 
-The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold. So they
-do where scales of cells are estimated by them.
+The rows of a free base read nothing, and leave the scale of all parameters open: there the stated sigmas hold.
 """
 
 from collections.abc import Sequence

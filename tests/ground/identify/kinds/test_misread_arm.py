@@ -84,15 +84,6 @@ def test_a_mistake_is_named(lab, moved, tmp_path, said):
     assert f" if {said}:" in misread_arm(config.load(lab / "vehicle.toml"), log)
 
 
-def test_a_mistake_is_named_where_scales_are_parameters(lab, moved, tmp_path):
-    """Identify ended there: scales are parameters; give the predicted readings."""
-    said, (t, q, torque) = "the torque of elbow counts the other way", moved
-    text = (lab / "vehicle.toml").read_text().replace("[estimation]\n", '[estimation]\nscales = "estimated"\n', 1)
-    (file := lab / "estimated.toml").write_text(text)
-    log = LogReader(_log(lab, tmp_path, t, *_MISTAKES[said](q, torque)))
-    assert f" if {said}:" in misread_arm(config.load(file), log)
-
-
 def test_of_a_recording_as_stated_nothing_is_said(lab, moved, tmp_path):
     """Nor of a gain that is 5 % off, or of a base that moves."""
     vehicle, (t, q, torque) = config.load(lab / "vehicle.toml"), moved

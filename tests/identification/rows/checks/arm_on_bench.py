@@ -1,6 +1,5 @@
 """An arm on a bench, by MuJoCo, and what may be wrong with what is read of it."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -33,30 +32,28 @@ ONCE_A_TURN = tuple(  # cosine and sine, 10 mrad rms each
 SCALES = tuple(Considered(f"scale of {axis}", axis, "scale", 2.5e-3) for axis in AXES)
 
 
-def model_of(urdf, stated):
-    vehicle = VehicleModel(urdf, VehicleSpec(BaseKind.FIXED, "bench", "tool"))
-    rows = bench.six_axes("wrist")
-    return RowModel(vehicle, [replace(row, scale=False) for row in rows] if stated else rows)
+def model_of(urdf):
+    return RowModel(VehicleModel(urdf, VehicleSpec(BaseKind.FIXED, "bench", "tool")), bench.six_axes("wrist"))
 
 
 @cache
-def base_of(urdf, stated):
-    return base_parameters(model_of(urdf, stated), np.random.default_rng(0))
+def base_of(urdf):
+    return base_parameters(model_of(urdf), np.random.default_rng(0))
 
 
-def identifier(urdf=bench.URDF, stated=(), more=()):
-    """By cells whose scales are estimated, or where they are stated: these errors of theirs; ``more`` errors."""
-    model = model_of(urdf, bool(stated))
+def identifier(urdf=bench.URDF, more=(), silent=True, scales=SCALES):
+    """By six axes; ``more`` errors; ``silent``: those too of which no key says anything, as on board."""
+    model = model_of(urdf)
     vehicle = model.vehicle
     links = dict.fromkeys(vehicle.links, 1.0) | {"gripper": 0.01}
     extras = {"M_tool": 5.0} | {f"{h}_tool": 1.0 for h in ("MX", "MY", "MZ")}
     extras |= {f"{i}_tool": 0.2 for i in ("XX", "XY", "YY", "XZ", "YZ", "ZZ")}
     extras |= {name: 5.0 if "force" in name else 0.5 for name in model.names if name.startswith("bias")}
-    extras |= {name: 0.0025 for name in model.names if name.startswith("scale")}
-    base, root = base_of(urdf, bool(stated)), prior_root(model, links, extras)
-    errors = (*ZEROS, *stated, *more)
-    weighs = RowSuspects(model, base, root, errors)
-    return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=errors, suspects=weighs)
+    base, root = base_of(urdf), prior_root(model, links, extras)
+    errors = (*ZEROS, *scales, *more)
+    errors += tuple(of_no_key(errors, model)) if silent else ()
+    weighs, stated = RowSuspects(model, base, root, errors), bench.stated_of(model)
+    return Identifier(model, base, root, 5 * bench.WIDTH_S, considered=errors, stated=stated, suspects=weighs)
 
 
 def driven(vehicle):
