@@ -300,7 +300,8 @@ class Identifier:
             friction = {k: one.axis for k, one in enumerate(causes) if one.effect == "held_friction"}
             since_s = self.errors.settled_s(self.seen, mean) if self.by_errors else (-np.inf, -np.inf)  # as it has them
             sigma = taken.considered[: len(causes)]
-            beside = sigma if self.by_errors else but_gains(sigma, causes), friction, since_s
+            with_gains = self.by_errors and not self._recorded_apart  # between recordings their steps are looked for
+            beside = sigma if with_gains else but_gains(sigma, causes), friction, since_s
             self._fitted = self.rows_used, with_stated(instrument_fits(self.seen, *asked, *beside), self.considered)
         return self._fitted[1]
 

@@ -3,8 +3,8 @@
 Per instrument, at the estimate of all rows:
 
 - *Gain*: a step of it, and an error of it against the other instruments (:class:`GainTests`), all considered errors but
-  gains estimated beside it, and gains, too, where the answer is by these: a drift of a zero is no step. Rows that read
-  nothing, those of a wrench known to be zero, have no gain.
+  gains estimated beside it, and gains, too, where the answer is by these and of one recording: a drift of a zero is no
+  step. Rows that read nothing, those of a wrench known to be zero, have no gain.
 - *Between recordings*: an arm that was recorded without its load and later with it has cooled down or warmed up, and
   what its gears lose with it. Where a step between the recordings is nearly as likely as the likeliest, it is that one;
   it is reported, its effect is in the intervals, and nothing is refused for it.
@@ -283,7 +283,9 @@ def instrument_fits(
     every += sum(part.H.sum(axis=0) for part in judged.values())
     if len(none) and judged:
         scores = sum(part.scores.sum(axis=0) for part in judged.values())
-        v[:-2] += _beside(every, scores, prior @ (drawn - mean))
+        # what gains leave to the parameters is a step between the recordings, where there are two
+        own = 0.0 * mean if recorded_apart else scores[: len(mean)] + prior @ (drawn - mean)
+        v[:-2] += np.linalg.solve(every, np.append(own, scores[len(mean) :]))
         judged = {part: _part(times_s[part], *rows_of[part], v, correlation) for part in rows_of}
     body, plan = np.append(np.where(physical, v[: len(mean)], 0.0), none), np.where(physical, drawn, 0.0)
     found = []
@@ -322,17 +324,6 @@ def instrument_fits(
             step, gain = (one and one._replace(moved=one.moved[: len(mean)]) for one in (step, gain))
             found.append(InstrumentFit(name, rows, worst[2], worst[1], float(response), step, gain))
     return tuple(found)
-
-
-def _beside(every: FloatArray, scores: FloatArray, of_prior: FloatArray) -> FloatArray:
-    """By how much an estimate of p parameters alone, and errors of zero, are off that of both, (p + k,).
-
-    Args:
-        every: information on both, (p + k, p + k).
-        scores: sum of all rows' scores at that estimate, (p + k,).
-        of_prior: the same of the prior of the parameters, (p,).
-    """
-    return np.asarray(np.linalg.solve(every, scores + np.append(of_prior, np.zeros(len(scores) - len(of_prior)))))
 
 
 def _sums(N: FloatArray, v: FloatArray) -> FloatArray:

@@ -147,12 +147,6 @@ class ErrorState:
         suspect = weighed.likeliest.suspect if weighed else None
         return suspect is not None and bool(np.isin(suspect.at, self._moving).any())
 
-    def is_remade(self, weighed: Weighed | None) -> bool:
-        """Whether the likeliest hypothesis is that of an error which no sum over all rows has."""
-        own = self._of(lambda one: one.effect in ("delay", "joint_delay", "step", "turned"))
-        suspect = weighed.likeliest.suspect if weighed and weighed.contradicts else None
-        return suspect is not None and bool(np.isin(suspect.at, own).all())
-
     def _links(self, model: RowModel, prior_root: FloatArray) -> Iterator[Suspect]:
         """Links that the rows show and that are not the payload."""
         vehicle = model.vehicle

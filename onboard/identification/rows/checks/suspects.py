@@ -184,8 +184,7 @@ class RowSuspects:
         if not self.explains:
             # of rows that contradict each other the recursion has those that agree with the first
             self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
-            others = beyond or self._errors.is_remade(self.weighed)  # that the sums do not have
-            self.explains = others and bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
+            self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
             if not (likeliest or contradicted):
                 if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
                     self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())
@@ -264,8 +263,6 @@ class RowSuspects:
         since_s = of.errors.settled_s(seen, mean, suspected=True)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
         self.explains, self._left = False, None
-        if rows.share < MOSTLY:
-            return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
         try:
             weighed, more = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
