@@ -7,10 +7,6 @@ of everything beyond the cut (Limparis 2.115, 2.132; extended by base and payloa
 - Joint torque: the cut is the joint, the axis is the joint's; with columns of its motors if asked.
 - Base wrench: the cut is around the whole vehicle; components known to be zero (free flight) give rows ``0 = Y chi``.
 
-A reading may have an unknown scale, ``reading = (1 + scale) (Y chi + bias)``: the calibration of a cell, the torque
-constant of a motor. Its column is the reading predicted by the estimate so far; the reading itself would explain its
-own noise by the scale and bias it.
-
 The base's motion comes from an IMU: angular rate, angular acceleration and specific force (a - g, not acceleration).
 With gravity zero in the model and the specific force as the base's acceleration, gravity, attitude and the base's
 velocity all cancel (Galilean invariance) and need not be known.
