@@ -250,8 +250,7 @@ class RowSuspects:
     def _weigh_all(self, of: _Estimated, mean: FloatArray, ticks: SmoothedTicks) -> None:
         """The same by the sums over all rows.
 
-        Rows of before the estimate settled are left out, for what errors do to them was made at another one; where
-        that is most of them, nothing is explained.
+        Rows of before the estimate settled are left out, for what errors do to them was made at another one.
 
         Args:
             of: the recursion, and its prior as wide as it is taken.
@@ -263,6 +262,8 @@ class RowSuspects:
         since_s = of.errors.settled_s(seen, mean, suspected=True)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
         self.explains, self._left = False, None
+        if not rows.share:
+            return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
         try:
             weighed, more = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
