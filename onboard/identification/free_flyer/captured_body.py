@@ -3,7 +3,7 @@
 Ticks about a change that may be a capture are kept until it is classified. Once the payload is known, its momentum is
 what vehicle and payload have together after the capture, less what the vehicle alone would have
 (:mod:`onboard.identification.free_flyer.before_capture`). As the payload becomes better known it is estimated again,
-each time a fifth more ticks have been used, with the zeros of the IMU at the capture as they were known best.
+each time half as many more ticks have been used, with the zeros of the IMU at the capture as they were known best.
 """
 
 from typing import Final, NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import AGAIN, HALF
+from onboard.estimation.policy import HALF
 from onboard.identification.free_flyer.before_capture import (
     ANNOUNCED_s,
     BeforeCapture,
@@ -33,6 +33,7 @@ UNITS: Final = (*["m/s"] * 3, *["rad/s"] * 3)
 
 _EXPECTED: Final = np.repeat([0.1, 1.0], 3)  # m/s, rad/s: how bodies may come; see SUPPORTED_SHRINKAGE
 _KEPT_s: Final = 2.5  # ticks before a change is noticed
+_AGAIN: Final = 1.5  # growth of the number of ticks at which the estimate is made again
 
 
 class _Touch(NamedTuple):
@@ -135,7 +136,7 @@ class CapturedBody:
         assert touch is not None
         assert touch.ticks is not None
         known = [] if ekf.ticks_used < self._used else self._zeros
-        self._used, self._next = ekf.ticks_used, AGAIN * ekf.ticks_used
+        self._used, self._next = ekf.ticks_used, _AGAIN * ekf.ticks_used
         if ekf.predictor.bends.size:
             self._told = None
             self._failure = "the joints are flexible: their encoders do not tell how the gripper moves"

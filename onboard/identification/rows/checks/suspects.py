@@ -11,10 +11,10 @@ gains multiply masses and angles turn gravity. The noise of each row is the resi
 stated. Equations are the sums over all rows (:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these
 are beyond linear where angles are likelier wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where that
 explains nothing, they are rows of kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`),
-those included that the recursion refuses. These answer for errors that the sums do not have, of delays, steps, mounts,
-and angles that are far off; and where by the sums nothing is likelier wrong, but what is stated had to be taken wider
-(:mod:`onboard.identification.rows.stated_errors.stated`): a gripper that is heavier than it was weighed is to most
-motions the same as cells that all read too much.
+those included that the recursion refuses. These have errors that the sums do not have, of delays, steps, mounts, and
+angles that are far off. Where by the sums nothing is likelier wrong, but what is stated had to be taken wider
+(:mod:`onboard.identification.rows.stated_errors.stated`), they answer, too, where no more than noise is left over, or to
+refuse: a gripper that is heavier than it was weighed is to most motions the same as cells that all read too much.
 
 Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
 more than are correlated. Outliers have Huber's weights.
