@@ -25,6 +25,7 @@ from onboard.estimation.errors import CalibrationError
 
 LARGEST_ANGLE_rad = np.deg2rad(75.0)
 FEWEST_SWINGS = 5.0
+HOPELESS = 0.2  # the same while the fit is still on its way
 INTEGRATION = 1e-11  # relative: its steps jump with the parameters, by 1e-8 enough to stop the fit 0.05 sigma off
 SENSITIVITY = 1e-7  # the same of the derivatives by the parameters, which only point the way and weigh the noise
 WORST_RESIDUAL = 0.02  # of the rate's rms; beyond, something else than a pendulum moved
@@ -165,7 +166,7 @@ def _fitted(
         found = least_squares(residual, x, slopes, x_scale=unit[: x.size], max_nfev=50, ftol=fine)
         x = np.asarray(found.x, np.float64)
         rms = float(np.sqrt(np.mean(found.fun[:-1] ** 2)))
-        if not x[0] > 0.0 or (part.all() and rms > WORST_RESIDUAL * size):
+        if not x[0] > 0.0 or rms > (WORST_RESIDUAL if part.all() else HOPELESS) * size:
             raise CalibrationError(
                 f"{100.0 * rms / size:.1f} % of the rate is no pendulum's swing; let the body go without a push, and "
                 "keep it from swinging sideways"

@@ -13,15 +13,13 @@ are beyond linear where angles are likelier wrong (:mod:`onboard.identification.
 explains nothing, they are rows of kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`),
 those included that the recursion refuses. These have errors that the sums do not have, of delays, steps, mounts, and
 angles that are far off. Where by the sums nothing is likelier wrong, but what is stated had to be taken wider
-(:mod:`onboard.identification.rows.stated_errors.stated`), they answer, too, where no more than noise is left over, or to
-refuse: a gripper that is heavier than it was weighed is to most motions the same as cells that all read too much.
-
-Rows are smoothed, so neighbours are correlated: a kept tick stands for the ticks up to the next kept one, but for no
-more than are correlated. Outliers have Huber's weights.
+(:mod:`onboard.identification.rows.stated_errors.stated`), they answer, too, where no more than noise is left over, or
+to refuse: a gripper that is heavier than it was weighed is to most motions the same as cells that all read too much.
 
 The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows, in
 place of the recursion's. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of
-both answers. What noise of the regressor adds to the information of all rows is taken off that of those kept.
+both answers; where the sums name another than the kept ticks, of that of these and of all as stated. What noise of the
+regressor adds to the information of all rows is taken off that of those kept.
 """
 
 import math
@@ -185,6 +183,9 @@ class RowSuspects:
             # of rows that contradict each other the recursion has those that agree with the first
             self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
+            another = self.weighed is not None and likeliest not in ((), self.weighed.names[:1])  # named by the sums
+            if self.explains and another and self.answer and of.taken.answer:
+                self.answer = self.answer.or_else(of.taken.answer.known)
             if not (likeliest or contradicted):
                 if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
                     self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())
