@@ -39,7 +39,6 @@ class PlanarDrag(NamedTuple):
     place: FloatArray  # (k, 2) base axes, m
     viscous: FloatArray  # (k,) Fv, N s/m
     coulomb: FloatArray  # (k,) Fc, N
-    rounding_m_s: float = ROUNDING_m_s
     sag: tuple[float, ...] = (0.0,) * SAGS  # of each Legendre polynomial, of degree 1 on
 
 
@@ -160,7 +159,7 @@ def predict_run(
     known = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2
     pucks = np.column_stack(drag[:3]).reshape(-1, 4)
     n, width = len(G) // 2 + 1, 3 + T.shape[3] + 2 * len(pucks) + SAGS + 2
-    others = np.array([*given(start, 3), *given(tilt, 2), drag.rounding_m_s**2, run.period_s])
+    others = np.array([*given(start, 3), *given(tilt, 2), ROUNDING_m_s**2, run.period_s])
     arrays = [np.ascontiguousarray(one, np.float64) for one in (inverse, known, growth, over, T, pucks, others)]
     of_run = AirBearingRun(n, T.shape[3], len(pucks), *arrays)
     out = call("heft_predict_table", ctypes.byref(of_run), out=np.empty(n * (7 + 9 * width)))

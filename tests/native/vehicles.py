@@ -89,7 +89,7 @@ def on_table(case: Case, seed: int) -> OnTable:
     rng, n = np.random.default_rng(seed), len(case.rate)
     k, motion = seed % 5, case.corrected[:3]
     run = PlanarRun(case.vehicle, FlightSignals(PERIOD_s, *motion, *np.ones((2, n, 3)), *np.ones((2, 3)), 1))
-    drag = PlanarDrag(rng.normal(size=(k, 2)), *rng.uniform(0.0, 1.0, (2, k)), 2e-3, tuple(rng.normal(size=3).tolist()))
+    drag = PlanarDrag(rng.normal(size=(k, 2)), *rng.uniform(0.0, 1.0, (2, k)), tuple(rng.normal(size=3).tolist()))
     return OnTable(run, 0.3 * rng.normal(size=3), case.vehicle.chi, drag, 0.1 * rng.normal(size=2), case.free)
 
 

@@ -89,7 +89,7 @@ class AirBearingBase:
     ) -> BasePrediction:
         """See :func:`onboard.dynamics.air_bearing.predict_run`."""
         viscous, coulomb = others["drag"].reshape(-1, 2).T
-        drag = PlanarDrag(self._pucks, viscous, coulomb, sag=tuple(others["sag"].tolist()))
+        drag = PlanarDrag(self._pucks, viscous, coulomb, tuple(others["sag"].tolist()))
         return predict_run(self._run, start, chi, drag, others["tilt"], links, ticks).base
 
     def first_state(self, chi: FloatArray, rate_B: FloatArray) -> None:

@@ -5,7 +5,7 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from onboard.dynamics.air_bearing import SAGS, PlanarDrag
+from onboard.dynamics.air_bearing import SAGS, PlanarDrag, ROUNDING_m_s
 
 _FASTEST = 1e3
 
@@ -46,7 +46,7 @@ def _accelerations(state: np.ndarray, inverse: np.ndarray, k: np.ndarray, drag: 
     for index, ((px, py), viscous, coulomb) in enumerate(zip(*drag[:3], strict=True)):
         J = np.array([[1.0, 0.0, -py], [0.0, 1.0, px]])
         u = v + w[:, None] * J[:, 2]
-        size = np.sqrt((u * u).sum(axis=1) + drag.rounding_m_s**2)[:, None]
+        size = np.sqrt((u * u).sum(axis=1) + ROUNDING_m_s**2)[:, None]
         pull[:, :, 2 * index], pull[:, :, 2 * index + 1] = -u @ J, -(u / size) @ J
         force += pull[:, :, 2 * index] * viscous + pull[:, :, 2 * index + 1] * coulomb
         stiff = -(viscous + coulomb / size)[:, :, None] * np.eye(2)
@@ -101,7 +101,7 @@ def _integrate(
     driven = inverse * growth[:, None, None]  # by drag
     grid = np.concatenate([driven.reshape(-1, 9), k.reshape(-1, 9)], axis=1).tolist()
     pucks = [(*place, fv, fc) for place, fv, fc in zip(*(part.tolist() for part in drag[:3]), strict=True)]
-    (tilt_x, tilt_y), rounding = tilt.tolist(), drag.rounding_m_s**2
+    (tilt_x, tilt_y), rounding = tilt.tolist(), ROUNDING_m_s**2
 
     def rate(at: tuple[float, ...], vx: float, vy: float, w: float, yaw: float) -> tuple[float, float, float, float]:
         pull_x = pull_y = turn = 0.0
