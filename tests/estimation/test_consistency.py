@@ -9,6 +9,7 @@ from onboard.estimation.recursive.consistency import BlockScores, JackknifeEstim
 from onboard.estimation.recursive.least_squares import RecursiveLeastSquares
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.estimation.smoothing import smooth
+from onboard.identification.evidence.mixture import Mixture
 
 WIDTH_S, PERIOD_S = 0.1, 0.01
 
@@ -226,6 +227,21 @@ def test_information_in_one_block_gives_few_degrees_of_freedom(rng):
     freedom = found.combination(np.eye(3)).degrees_of_freedom
     assert freedom[0] == 1.0
     assert freedom[1] > 10.0
+
+
+def test_another_answer_has_the_freedom_of_its_own_blocks(rng):
+    t = np.arange(0, 10, PERIOD_S)
+    Y = motion(t) * [1.0, 1.0, 0.0]
+    Y[100:160, 2] = 1.0  # of the third parameter, one block tells
+    made = estimate(t, Y, Y @ TRUTH + 0.1 * rng.normal(size=t.size), np.full(t.size, 0.1), PRIOR)
+    other = Mixture(np.ones(1), TRUTH[None] + 0.01, 1e-4 * np.eye(3)[None])
+    alone, both = made.instead(other), made.instead(other, np.ones((12, 1, 1)) * np.eye(3))
+    few, many = (one.combination([0.0, 0.0, 1.0]) for one in (alone, both))
+    assert few.degrees_of_freedom[0] < 1.5
+    assert many.degrees_of_freedom[0] == pytest.approx(11.0)
+    assert few.sigma[0] == pytest.approx(many.sigma[0]) == pytest.approx(0.01)
+    assert many.high[0] == pytest.approx(TRUTH[2] + 0.01 + 0.01 * stdtrit(11.0, 0.975))
+    assert made.combination([0.0, 0.0, 1.0]).mean != few.mean  # and the estimate itself is what it was
 
 
 def test_blocks_add_up_whatever_the_batches_and_however_often_they_merge(rng):

@@ -288,10 +288,16 @@ class JackknifeEstimate:
             raise RowError(f"{k} considered parameters need as many sigmas, none negative, or a root ({k}, {k})")
         return sigma
 
-    def instead(self, other: Instead) -> Self:
-        """With mean, covariance and intervals of another estimate; information and bounds are of this one."""
+    def instead(self, other: Instead, shares: FloatArray | None = None) -> Self:
+        """With mean, covariance and intervals of another estimate; bounds are of this one.
+
+        Args:
+            other: the estimate.
+            shares: of what it knows, by blocks of rows, (b, p, p); those of this one where not given.
+        """
         made = copy.copy(self)
         made.mean, made._instead = other.known[0], other
+        made._shares = self._shares if shares is None else shares
         return made
 
     def _rows_weight(self) -> float:

@@ -344,8 +344,11 @@ class Identifier:
         Considered errors that the rows tell are as large as they are fitted, the others as stated.
         """
         made = self._recursions(exact)
-        answer = None if exact else self.suspects.answer if self.suspects else self.by_errors and self.by_errors.known
-        return made if answer is None else made.instead(answer)
+        if exact:
+            return made
+        if self.suspects:
+            return made if self.suspects.answer is None else made.instead(self.suspects.answer)
+        return made if self.by_errors is None else made.instead(self.by_errors.known, self.by_errors.shares)
 
     def _recursions(self, exact: bool) -> JackknifeEstimate:
         return jackknives.last(self, exact, self._block_jackknife)

@@ -173,6 +173,21 @@ class ErrorEquations:
         offset = told @ (self._L.T @ (H @ (X - self._drawn)))
         return Information(V * values @ V.T, each.sum(axis=0) + offset, each, self._L.T @ doubt)
 
+    def shares(self, X: FloatArray, along: FloatArray) -> FloatArray:
+        """What the rows of each time tell of functions of the state, (b, m, m), of which only ratios are used.
+
+        Args:
+            X: base parameters and errors, (p + e,), about which the rows are linear.
+            along: covariance of the state with the functions, (s, m).
+        """
+        noise, moved = self.noise(X), self._L @ along
+        times_s = np.unique(np.concatenate([part.times_s for part in self._parts]))
+        told = np.zeros((len(times_s), along.shape[1], along.shape[1]))
+        for part in self._parts:
+            V = self._linear(part, X)[0] @ moved
+            told[np.searchsorted(times_s, part.times_s)] += V.T @ part.blocks @ V / noise[part.instrument]
+        return told
+
     def noise(self, X: FloatArray) -> FloatArray:
         """Variance of each instrument over that of its weights, by what an estimate leaves over, (instruments,)."""
         left, rows, _ = self._sums(X)

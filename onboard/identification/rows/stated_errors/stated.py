@@ -72,6 +72,7 @@ class ByErrors(NamedTuple):
     known: Mixture
     causes: Causes  # the keys of all that is stated
     along: FloatArray  # (p, s) covariance of the base parameters with each error, in stated sigmas
+    shares: FloatArray  # (b, p, p) of what is known of the base parameters, by blocks of rows
 
 
 class Taken(NamedTuple):
@@ -218,7 +219,7 @@ class StatedSigmas:
         n = half.shape[1]
         along, keys = half @ P[:n], [self.stated[k].key for k in self._key.tolist()]
         known = Mixture(np.ones(1), (self._errors.centre + half @ x[:n])[None], (along[:, :n] @ half.T)[None])
-        return ByErrors(known, Causes(keys, np.ones(len(keys))), along)
+        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, rows.shares(rows.at(x), along.T))
 
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.

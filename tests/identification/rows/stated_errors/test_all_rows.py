@@ -15,15 +15,17 @@ PRIOR = 3.0
 BETA = np.array([2.0, -1.0, 1.5, 0.5])
 
 
-def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.0):
+def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.0, rests_s=np.inf):
     """Rows of three cells, 20 a second of each: ``factor Y beta`` and noise, ``own`` times that stated.
 
-    ``slow``: of what no parameter explains, by the block; ``motion``: noise of the regressor, as it is read.
+    ``slow``: of what no parameter explains, by the block; ``motion``: noise of the regressor, as it is read;
+    ``rests_s``: from when on nothing tells of the first parameter.
     """
     seen = RowBlocks(P, BLOCK_S, CELLS)
     times_s = np.repeat(np.arange(0.0, seconds, 0.05), len(CELLS))
     cell = np.tile(np.arange(len(CELLS)), len(times_s) // len(CELLS))
     true = 10.0 * (rng.standard_normal((len(times_s), P)) + rng.standard_normal((seconds, P))[times_s.astype(int)])
+    true[times_s >= rests_s, 0] = 0.0
     block = rng.standard_normal((seconds, len(CELLS)))[times_s.astype(int), cell]
     y = np.array(factors)[cell] * (true @ BETA) + own * rng.standard_normal(len(cell)) + slow * block
     Y = true + motion * rng.standard_normal(true.shape)
@@ -178,3 +180,16 @@ def test_an_estimate_that_has_gone_where_no_gain_is_ends_the_search(rng):
     for gain in (1e3, -1e3, np.nan):
         with pytest.raises(np.linalg.LinAlgError, match="where no gain is"):
             rows.noise(np.array([*BETA, gain, 0.0, 0.0]))
+
+
+def test_a_parameter_is_known_by_the_blocks_that_tell_of_it(rng):
+    """Errors of gains beside it included: nobody tells more of these than the prior of them."""
+    rows, _ = asked(flown(rng, rests_s=4.0))
+    x, P_ = rows.information(np.append(BETA, np.zeros(3)), np.ones(3)).known()
+    along = PRIOR * P_[:, :P]
+    shares = rows.shares(rows.at(x), along)
+    assert shares.sum(axis=0) == pytest.approx(along.T @ rows.information(rows.at(x), np.ones(3)).A @ along, rel=1e-6)
+    each = np.einsum("bii->bi", shares)
+    many = each.sum(axis=0) ** 2 / (each**2).sum(axis=0)
+    assert 2.0 < many[0] <= 4.0 + 0.5
+    assert (many[1:] > 15.0).all()
