@@ -50,7 +50,7 @@ def test_a_tool_is_weighed_on_board_and_from_the_log(tmp_path: Path, capsys: pyt
     code, told = identified(run, tmp_path)
     assert code == cli.OK
     assert told["verdict"]["level"] == "weak"
-    assert told["verdict"]["reasons"] == ["I_xx_tool: its interval is as wide as 34% of it"]  # about its long axis
+    assert told["verdict"]["reasons"] == ["I_xx_tool: its interval is as wide as 30% of it"]  # about its long axis
     found = {answer["name"]: answer for answer in told["quantities"] if answer["unit"]}
     assert list(found) == [f"{name}_tool" for name in BODY]
     shown = capsys.readouterr().out

@@ -7,7 +7,7 @@ import numpy as np
 
 from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, sphere_radius_m
-from onboard.estimation.arrays import FloatArray
+from onboard.estimation.arrays import FloatArray, finite
 from onboard.estimation.errors import ConvergenceError
 from onboard.identification.free_flyer.prediction.imu_prediction import RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
@@ -74,7 +74,7 @@ def first_rate(predictor: ImuPredictor, ticks: Ticks, state: FloatArray, imu: in
     predicted = predictor.predict(some.q, some.dq, some.ddq, state, some.cyclic, some.thrust)
     gap = some.measured[1:-1, rate] - predicted.values[:, rate]
     J = predicted.jacobian[seen, rate, RATE].reshape(-1, 3)
-    return np.asarray(state[RATE] + np.linalg.lstsq(J, gap[seen].ravel())[0], np.float64)
+    return np.asarray(state[RATE] + _solved(J, gap[seen].ravel()), np.float64)
 
 
 def first_pose(predictor: ImuPredictor, ticks: Ticks, state: FloatArray) -> FloatArray:
@@ -97,5 +97,16 @@ def first_pose(predictor: ImuPredictor, ticks: Ticks, state: FloatArray) -> Floa
         gap = (some.measured[1:-1, lines] - predicted.values[:, lines])[seen] / some.sigma[1:-1, lines][seen]
         J = predicted.jacobian[:, lines][seen][..., at] / some.sigma[1:-1, lines][seen][..., None]
         J = np.vstack([J.reshape(gap.size, -1), np.diag(1.0 / predictor.sigma[at])])
-        state[at] += np.linalg.lstsq(J, np.concatenate([gap.ravel(), -state[at] / predictor.sigma[at]]))[0]
+        state[at] += _solved(J, np.concatenate([gap.ravel(), -state[at] / predictor.sigma[at]]))
     return state[at]
+
+
+def _solved(J: FloatArray, gap: FloatArray) -> FloatArray:
+    """Least squares.
+
+    Raises:
+        LinAlgError: a number is not finite; of it LAPACK writes to the terminal.
+    """
+    if not finite([J, gap]).all():
+        raise np.linalg.LinAlgError("the motion predicts no number")
+    return np.asarray(np.linalg.lstsq(J, gap)[0], np.float64)

@@ -9,10 +9,11 @@ from onboard.identification.quantities import Findings, Quantity
 from onboard.identification.rows.checks.agreement import InstrumentFit, judged_between, judged_fit
 from onboard.identification.rows.checks.suspects import RowSuspects
 from onboard.identification.rows.grasped import GraspedPayload
+from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.identification.rows.stated_errors.drawing import judged_drawing
 from onboard.identification.rows.stated_errors.fitted_corrections import Fitted
-from onboard.identification.rows.stated_errors.stated import Taken
+from onboard.identification.rows.stated_errors.stated import ByErrors, Taken
 
 
 class _Judged(Protocol):
@@ -21,6 +22,7 @@ class _Judged(Protocol):
     quantities: tuple[Quantity, ...]
     considered: tuple[Considered, ...]
     payload: GraspedPayload | None
+    seen: RowBlocks
 
     @property
     def suspects(self) -> RowSuspects | None: ...
@@ -28,6 +30,8 @@ class _Judged(Protocol):
     def contradicted(self) -> str: ...
     @property
     def taken(self) -> Taken: ...
+    @property
+    def by_errors(self) -> ByErrors | None: ...
     @property
     def correlation(self) -> float: ...
     @property
@@ -47,6 +51,9 @@ def found(of: _Judged) -> Findings:
     if of.suspects is None:
         fits = of.fits()
         judged = [*(judged_fit(fit, of.correlation) for fit in fits), judged_between(fits)]
+        if (by := of.by_errors) is not None and by.doubted is not None:
+            name = of.seen.instruments[by.doubted]
+            doubts.append(f"{name} contradicts the others, by more than its noise, and hardly counts")
     else:
         judged = [of.suspects.judged()]
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]

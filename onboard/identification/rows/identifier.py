@@ -130,7 +130,9 @@ class Identifier:
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
         if stated and not free and start is None:
-            of_file = stated, considered, instruments, base, self._as_stated
+            joints = [joint.name for joint in model.vehicle.joints]
+            cells = [k for k, name in enumerate(instruments) if name not in joints]
+            of_file = stated, considered, instruments, base, self._as_stated, cells
             self._stated = StatedSigmas(*of_file, estimates=not model.vehicle.spec.base.moves)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
         self._is_over = False  # no more rows come

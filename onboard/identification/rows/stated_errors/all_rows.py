@@ -5,7 +5,7 @@ tells nothing, then: rows that are made again about it judge it (:mod:`onboard.i
 Delays of encoders are as stated: their columns are of derivatives, whose noise is not that of the rows.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -58,6 +58,26 @@ def as_stated(rows: ErrorEquations, x: FloatArray) -> Known:
     colour = told.colour()
     x, P = told.known(colour)
     return x, P + rows.information(rows.at(x), colour * noise).scatter(P)
+
+
+def that_agree(rows: ErrorEquations, x: FloatArray, cells: Sequence[int]) -> tuple[ErrorEquations, int | None]:
+    """The rows, those of the one cell counting as one that contradicts all others with all as stated, and its number.
+
+    Where none does, or the others contradict each other too: all rows, as they are.
+
+    Args:
+        rows: of an arm.
+        x: an estimate to begin with, (s,).
+        cells: which instruments may be doubted.
+    """
+    x, _ = _settled(rows, x, rows.noise(rows.at(x)))
+    misfits = rows.misfits(rows.at(x))
+    worst = int(misfits.argmax())
+    if worst not in cells or misfits[worst] <= MISFIT_PART:
+        return rows, None
+    doubted = rows.doubting(worst)
+    left = doubted.misfits(doubted.at(as_stated(doubted, x)[0])) > MISFIT_PART
+    return (doubted, worst) if left[worst] and left.sum() == 1 else (rows, None)
 
 
 def _settled(

@@ -12,6 +12,7 @@ alike for seconds where the model is not the arm's: all information is divided b
 scatter than it says (*colour*).
 """
 
+import copy
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -121,6 +122,7 @@ class ErrorEquations:
     def __init__(
         self, seen: RowBlocks, errors: RowErrors, correlation: float, since_s: tuple[float, float] = (-np.inf, -np.inf)
     ) -> None:
+        self._doubted: int | None = None
         self._correlation, self._gains, self._common = correlation, errors.gains, errors.common
         self._multiplied = np.broadcast_to(errors.multiplied, (len(errors.sigma), len(errors.centre)))
         self._of_all = ~np.isin(np.arange(len(errors.sigma)), errors.held)
@@ -191,7 +193,10 @@ class ErrorEquations:
     def noise(self, X: FloatArray) -> FloatArray:
         """Variance of each instrument over that of its weights, by what an estimate leaves over, (instruments,)."""
         left, rows, _ = self._sums(X)
-        return np.asarray(np.maximum(1.0, self._correlation * left / np.maximum(rows, 1.0)), np.float64)
+        made = np.maximum(1.0, self._correlation * left / np.maximum(rows, 1.0))
+        if self._doubted is not None:
+            made[self._doubted] *= max(rows[self._doubted] / self._correlation, 1.0)
+        return np.asarray(made, np.float64)
 
     def misfit(self, X: FloatArray, other: FloatArray) -> float:
         """The largest variance of an instrument over that which its noise and that of the motion explain.
@@ -204,6 +209,17 @@ class ErrorEquations:
         left, _, stated = self._sums(X)
         stated = np.minimum(stated, self._sums(other)[2])
         return self._correlation * float((left / np.maximum(stated, 1.0)).max())
+
+    def misfits(self, X: FloatArray) -> FloatArray:
+        """That of each instrument at one estimate, (instruments,)."""
+        left, _, stated = self._sums(X)
+        return np.asarray(self._correlation * left / np.maximum(stated, 1.0), np.float64)
+
+    def doubting(self, instrument: int) -> "ErrorEquations":
+        """The same, but all rows of an instrument count as one: what they leave over is not noise, and may be alike."""
+        made = copy.copy(self)
+        made._doubted = instrument
+        return made
 
     def _sums(self, X: FloatArray) -> FloatArray:
         """What an estimate leaves over of each instrument, its rows, and what noise explains, (3, instruments)."""

@@ -47,7 +47,7 @@ from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.mixture import Mixture
 from onboard.identification.quantities import Causes
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated_errors.all_rows import as_stated
+from onboard.identification.rows.stated_errors.all_rows import as_stated, that_agree
 from onboard.identification.rows.stated_errors.considered import HELD, OF_GAIN, Considered
 from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 from onboard.regressor.base_parameters import BaseParameters
@@ -73,6 +73,7 @@ class ByErrors(NamedTuple):
     causes: Causes  # the keys of all that is stated
     along: FloatArray  # (p, s) covariance of the base parameters with each error, in stated sigmas
     shares: FloatArray  # (b, p, p) of what is known of the base parameters, by blocks of rows
+    doubted: int | None  # number of the cell that contradicts all others
 
 
 class Taken(NamedTuple):
@@ -113,6 +114,7 @@ class StatedSigmas:
         instruments: that make the rows.
         base: the base parameters.
         stated: what is taken for granted if nothing contradicts it.
+        cells: numbers of the instruments that others check.
         estimates: errors beside the parameters, where nothing does.
     """
 
@@ -123,10 +125,11 @@ class StatedSigmas:
         instruments: Sequence[str],
         base: BaseParameters,
         stated: Taken,
+        cells: Sequence[int] = (),
         *,
         estimates: bool = False,
     ) -> None:
-        self._estimates = estimates
+        self._estimates, self._cells = estimates, cells
         self._causes = [k for k, one in enumerate(considered) if one.sigma > 0.0]
         causes = [considered[k] for k in self._causes]
         half = base.grouping @ stated.prior_root
@@ -215,11 +218,12 @@ class StatedSigmas:
 
     def _answer(self, rows: ErrorEquations, x: FloatArray) -> ByErrors:
         """Base parameters with all as stated; begins with the errors x."""
+        rows, out = that_agree(rows, x, self._cells)
         half, (x, P) = self._errors.half, as_stated(rows, x)
         n = half.shape[1]
         along, keys = half @ P[:n], [self.stated[k].key for k in self._key.tolist()]
         known = Mixture(np.ones(1), (self._errors.centre + half @ x[:n])[None], (along[:, :n] @ half.T)[None])
-        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, rows.shares(rows.at(x), along.T))
+        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, rows.shares(rows.at(x), along.T), out)
 
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.

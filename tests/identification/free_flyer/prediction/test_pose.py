@@ -9,7 +9,7 @@ from onboard.dynamics.tracked_pose import left, product, quaternion_of, right, r
 from onboard.flight.estimate.problem.model import build_model
 from onboard.flight.estimate.problem.priors import free_flyer_prior, geometry_prior
 from onboard.identification.free_flyer.fusion import Fusion
-from onboard.identification.free_flyer.guesses import first_pose
+from onboard.identification.free_flyer.guesses import first_pose, first_state
 from onboard.identification.free_flyer.prediction.further import FurtherPose, PosePrior
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import Ticks
@@ -107,6 +107,16 @@ def test_the_first_pose_is_found_from_nothing(predictor):
     nothing[predictor.moving] = 0.0
     assert first_pose(predictor, ticks, nothing) == pytest.approx(x[predictor.moving], abs=1e-4)
     assert first_pose(predictor, ticks._replace(measured=np.full_like(measured, np.nan)), nothing).any() == 0
+
+
+def test_of_a_joint_that_says_nonsense_no_state_is_made_and_nothing_is_printed(predictor, capfd):
+    """LAPACK wrote "On entry to DLASCL parameter number 4 had an illegal value" to the terminal of the flight."""
+    x, (q, dq, ddq) = state_of(predictor), motion(120)
+    read = np.zeros((120, predictor.lines[-1].stop))
+    wild, zeros = np.full_like(dq, 1e300), np.zeros((120, 2, 5))
+    rest = np.full_like(read, 5e-4), zeros, zeros, np.zeros((120, 3, 20)), predictor.no_ticks.thrust, np.ones(120)
+    assert first_state(predictor, Ticks(PERIOD_s * np.arange(120), q, wild, ddq, read, *rest), x) is None
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_pose_that_is_not_known_any_more(predictor, rng):

@@ -17,6 +17,7 @@ from onboard.identification.rows.stated_errors.considered import ConsideredError
 from onboard.identification.standing import Level
 from tests.identification.rows import test_grasped as bench
 from tests.identification.rows.checks.arm_on_bench import (
+    AXES,
     HEAVY,
     TOOL,
     fed,
@@ -244,3 +245,20 @@ def test_what_is_left_over_and_alike_for_long_counts_as_more_noise(rng):
     alike, white = suspects._Left(np.zeros((400, 2, 1)), left, ticks).noise(np.zeros(1), np.ones(2), 1)
     assert 3.0 < alike < 8.0  # (1 + r) / (1 - r) is 5.7
     assert white < 1.4
+
+
+def test_a_cell_that_nothing_explains_is_named_and_the_others_answer():
+    """Twelve sigmas that come and go in four seconds: neither a scale nor a step nor a delay of it."""
+    given, who, sound = run(), identifier(), identifier()
+    measured = given.measured.copy()
+    measured[:, AXES.index("wrist_moment_y")] += 12.0 * bench.NOISE[3] * np.sin(0.5 * np.pi * given.time_s)
+    bench.feed(who, given._replace(measured=measured))
+    bench.feed(sound, given)
+    found = who.findings()
+    assert found.against == ()
+    assert found.doubts == ("wrist_moment_y contradicts the others, by more than its noise, and hardly counts",)
+    assert level(who) is Level.WEAK
+    truth = [TOOL.mass_kg, *TOOL.centre_of_mass_m]
+    for one, other, true in zip(who.estimate().quantities, sound.estimate().quantities, truth, strict=False):
+        assert abs(one.value - true) < 3.3 * one.sigma
+        assert one.sigma < 3.0 * other.sigma  # five axes in place of six

@@ -6,7 +6,7 @@ import pytest
 from onboard.estimation.policy import LIKELY_SIZE, ODDS
 from onboard.identification.evidence.bank import Bank, Suspect
 from onboard.identification.rows.row_blocks import RowBlocks
-from onboard.identification.rows.stated_errors.all_rows import explained
+from onboard.identification.rows.stated_errors.all_rows import as_stated, explained, that_agree
 from onboard.identification.rows.stated_errors.equations import ErrorEquations, RowErrors
 
 CELLS, P, BLOCK_S = ("a", "b", "c"), 4, 1.0
@@ -18,8 +18,8 @@ BETA = np.array([2.0, -1.0, 1.5, 0.5])
 def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.0, rests_s=np.inf):
     """Rows of three cells, 20 a second of each: ``factor Y beta`` and noise, ``own`` times that stated.
 
-    ``slow``: of what no parameter explains, by the block; ``motion``: noise of the regressor, as it is read;
-    ``rests_s``: from when on nothing tells of the first parameter.
+    ``slow``: of what no parameter explains, by the block, of each cell or of all; ``motion``: noise of the regressor,
+    as it is read; ``rests_s``: from when on nothing tells of the first parameter.
     """
     seen = RowBlocks(P, BLOCK_S, CELLS)
     times_s = np.repeat(np.arange(0.0, seconds, 0.05), len(CELLS))
@@ -27,7 +27,11 @@ def flown(rng, factors=(1.0, 1.0, 1.0), slow=0.0, motion=0.0, seconds=40, own=1.
     true = 10.0 * (rng.standard_normal((len(times_s), P)) + rng.standard_normal((seconds, P))[times_s.astype(int)])
     true[times_s >= rests_s, 0] = 0.0
     block = rng.standard_normal((seconds, len(CELLS)))[times_s.astype(int), cell]
-    y = np.array(factors)[cell] * (true @ BETA) + own * rng.standard_normal(len(cell)) + slow * block
+    y = (
+        np.array(factors)[cell] * (true @ BETA)
+        + own * rng.standard_normal(len(cell))
+        + np.broadcast_to(slow, 3)[cell] * block
+    )
     Y = true + motion * rng.standard_normal(true.shape)
     sigma = np.full(len(y), np.sqrt(1.0 + motion**2 * (BETA @ BETA)))
     noise = np.tile(motion * np.eye(P, P + 1), (len(y), 1, 1)) if motion else None
@@ -193,3 +197,22 @@ def test_a_parameter_is_known_by_the_blocks_that_tell_of_it(rng):
     many = each.sum(axis=0) ** 2 / (each**2).sum(axis=0)
     assert 2.0 < many[0] <= 4.0 + 0.5
     assert (many[1:] > 15.0).all()
+
+
+def test_a_cell_that_contradicts_all_others_counts_as_one_row(rng):
+    """Alike for as long as it lasts: taken for noise, however large, it moved the answer with its whole weight."""
+    x = np.concatenate([BETA / PRIOR, np.zeros(3)])
+    seen = flown(rng, (1.0, 1.0, 1.0), slow=(0.0, 4.0, 0.0), rests_s=4.0)
+    rows, which = that_agree(equations(seen), x, range(3))
+    assert which == 1
+    quiet, loud = (as_stated(one, x) for one in (rows, equations(seen)))
+    assert rows.noise(rows.at(x))[1] > 100.0 * equations(seen).noise(rows.at(x))[1]
+    assert (np.abs(PRIOR * quiet[0][:P] - BETA) < 4.0 * PRIOR * np.sqrt(np.diag(quiet[1]))[:P]).all()
+    assert np.diag(quiet[1])[:P] == pytest.approx(np.diag(loud[1])[:P], rel=1.0)  # the others are known as well
+    assert that_agree(equations(seen), x, [0, 2])[1] is None  # one that the others do not check
+
+
+@pytest.mark.parametrize("slow", [0.0, (3.0, 3.0, 0.0), 3.0])
+def test_where_no_cell_or_several_contradict_the_others_all_count(rng, slow):
+    rows = equations(flown(rng, slow=slow))
+    assert that_agree(rows, np.concatenate([BETA / PRIOR, np.zeros(3)]), range(3)) == (rows, None)
