@@ -249,6 +249,8 @@ class ImuDevice(DeviceSection):
 class JointDevice(BusDevice):
     """It measures the angle of ``joint``: ``zero_count`` is its reading at angle zero.
 
+    Of a joint that slides it measures the travel: rad are metres, N m are newtons, and a revolution is 2 pi metres.
+
     On the motor side of a gear it has cyclic errors: ``eccentricity_rad`` once, ``transmission_error_rad`` twice per
     motor revolution, which are unknowns of the estimate; of one that has jumped they are noise. ``scale_sigma`` is of
     its counts per revolution, relative, ``zero_sigma_rad`` of its zero; the intervals of rows contain both.

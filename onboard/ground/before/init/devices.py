@@ -123,27 +123,33 @@ def joint(
     smoothed: bool = True,
     gain_N_m_A: float | None = None,
     driven: bool = False,
+    slides: bool = False,
 ) -> NewDevice:
     """The ``device`` that measures joint ``name``, the ``number``-th from 1.
 
     ``largest_N_m``: a drive's torque is used too, and this is the joint's largest; ``smoothed``: as rows are;
-    ``gain_N_m_A``: what was recorded is the motor's current; ``driven``: it moves the joint, too.
+    ``gain_N_m_A``: what was recorded is the motor's current; ``driven``: it moves the joint, too; ``slides``: along its
+    axis, and does not turn about it.
     """
+    about = _SLIDES if slides else ""
     if kind == RECORDED:
-        return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A), "")
+        return NewDevice(_recorded_joint(device, name, largest_N_m, gain_N_m_A, about), "")
     moves = getattr(_model(kind), "new_driven", "") if driven else ""
-    made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF\n{moves}")
+    made = _table(device, kind, number, f"joint = {json.dumps(name)}             # of the URDF{about}\n{moves}")
     if largest_N_m is None:
         return made
     keys = _torque(largest_N_m, _OF_LARGEST if smoothed else _OF_A_TICK, getattr(_model(kind), "new_torque", ""))
     return made._replace(text=made.text + keys)
 
 
-def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_A: float | None) -> str:
+_SLIDES = "; it slides: rad are m here, N m are N, and a revolution is 6.2832 m"
+
+
+def _recorded_joint(device: str, name: str, largest_N_m: float | None, gain_N_m_A: float | None, about: str) -> str:
     angle = f"""
 [device.{device}]
 kind = "recorded_angle"
-joint = {json.dumps(name)}             # of the URDF
+joint = {json.dumps(name)}             # of the URDF{about}
 period_ms = 5                  # yours
 noise_rad = 1e-5               # of a sample: yours
 """

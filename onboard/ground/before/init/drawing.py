@@ -33,6 +33,7 @@ class DrawnUrdf(NamedTuple):
         text: of it, as it is to be copied.
         root: link that all others hang on.
         joints: those that are measured, from the base outwards.
+        sliding: those of the joints that move along their axis.
         links: those with a mass.
         last: link of the last of the joints; the root without one.
         frames: all links.
@@ -47,6 +48,7 @@ class DrawnUrdf(NamedTuple):
     text: str
     root: str
     joints: tuple[str, ...]
+    sliding: frozenset[str]
     links: tuple[str, ...]
     last: str
     frames: tuple[str, ...]
@@ -121,7 +123,8 @@ def _read(text: str, label: str, base: str, joints: Sequence[str], *, recorded: 
     imus, pucks = _called(drawing, root, _IMUS), _called(drawing, root, _PUCKS)
     radius_m = float(np.sqrt(2.0 * model.chi[9] / model.chi[0])) if BASES[base].follows else 0.0
     frames, free = tuple(whole.links), (tuple(imus), tuple(pucks), radius_m, tuple(notes))
-    return DrawnUrdf(text, root, tuple(measured), model.links, last, frames, efforts, tuple(tips), *free)
+    sliding = frozenset(joint.name for joint in model.joints if not joint.revolute)
+    return DrawnUrdf(text, root, tuple(measured), sliding, model.links, last, frames, efforts, tuple(tips), *free)
 
 
 def _called(drawing: urdf_reading.Drawing, root: str, words: Set[str]) -> list[str]:

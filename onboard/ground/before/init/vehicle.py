@@ -188,7 +188,8 @@ def _devices(wanted: NewVehicle) -> list[NewDevice]:
     for n, (name, device) in enumerate(zip(wanted.joints, devices.of_joints(wanted.joints), strict=True), 1):
         largest_N_m, smoothed = _largest(wanted, n) if wanted.by_torque else None, wanted.base != "free"
         gain = wanted.gains[n - 1] if wanted.gains else None
-        options = {"smoothed": smoothed, "driven": wanted.drives}
+        slides = wanted.drawn is not None and name in wanted.drawn.sliding
+        options = {"smoothed": smoothed, "driven": wanted.drives, "slides": slides}
         chosen.append(devices.joint(wanted.encoder, n, device, name, largest_N_m, gain_N_m_A=gain, **options))
     chosen += devices.load_cells(wanted.load_cell, len(wanted.joints) + 1, wanted.joints[-1])
     if any(device.bus == devices.CAN for device in chosen):

@@ -173,3 +173,21 @@ def test_pucks_are_where_the_urdf_has_them_or_in_the_middle_and_around_it(tmp_pa
         assert tuple(one.frame for one in asked.puck) == used
         assert asked.sag_sigma > 0.0
     assert '<origin xyz="0.1491 0 0"' in (lab / "vehicle.urdf").read_text()
+
+
+@pytest.mark.parametrize("encoder", ["cia406", "recorded"])
+def test_units_of_a_joint_that_slides_are_said_beside_it(encoder: str, tmp_path: Path) -> None:
+    """An encoder's counts in a revolution were left to guess."""
+    urdf = tmp_path / "a.urdf"
+    urdf.write_text(_PAN_TILT.format(mass=_MASS.format(3), hand="hand", pan="pan", tilt="tilt"))
+    text = urdf.read_text().replace('name="pan" type="revolute"', 'name="pan" type="prismatic"')
+    assert text != urdf.read_text()
+    urdf.write_text(text)
+    more = ["--load-cell", "cia404"] if encoder == "cia406" else []
+    assert (
+        cli.main(["init", str(tmp_path / "a"), "--urdf", str(urdf), "--base", "fixed", "--encoder", encoder, *more])
+        == 0
+    )
+    lines = (tmp_path / "a" / "vehicle.toml").read_text().splitlines()
+    told = [line for line in lines if line.startswith("joint = ") and "of the URDF" in line]
+    assert ["6.2832 m" in line for line in told] == [True, False]
