@@ -53,7 +53,7 @@ def found(of: _Judged) -> Findings:
         judged = [*(judged_fit(fit, of.correlation) for fit in fits), judged_between(fits)]
         if (by := of.by_errors) is not None and by.doubted is not None:
             name = of.seen.instruments[by.doubted]
-            doubts.append(f"{name} contradicts the others, by more than its noise, and hardly counts")
+            doubts.append(f"{name} contradicts the others by more than its noise, and hardly counts")
     else:
         judged = [of.suspects.judged()]
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]

@@ -184,8 +184,9 @@ class RowSuspects:
             self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
             another = self.weighed is not None and likeliest not in ((), self.weighed.names[:1])  # named by the sums
-            if self.explains and another and self.answer and of.taken.answer:
-                self.answer = self.answer.or_else(of.taken.answer.known)
+            stated = of.taken.answer
+            if self.explains and another and self.answer and stated and stated.misfit <= MISFIT_PART:
+                self.answer = self.answer.or_else(stated.known)
             if not (likeliest or contradicted):
                 if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
                     self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())

@@ -74,6 +74,7 @@ class ByErrors(NamedTuple):
     along: FloatArray  # (p, s) covariance of the base parameters with each error, in stated sigmas
     shares: FloatArray  # (b, p, p) of what is known of the base parameters, by blocks of rows
     doubted: int | None  # number of the cell that contradicts all others
+    misfit: float  # of the instrument that it is most of
 
 
 class Taken(NamedTuple):
@@ -218,12 +219,13 @@ class StatedSigmas:
 
     def _answer(self, rows: ErrorEquations, x: FloatArray) -> ByErrors:
         """Base parameters with all as stated; begins with the errors x."""
-        rows, out = that_agree(rows, x, self._cells)
-        half, (x, P) = self._errors.half, as_stated(rows, x)
-        n = half.shape[1]
+        rows, doubted = that_agree(rows, x, self._cells)
+        (x, P), half = as_stated(rows, x), self._errors.half
+        X, n = rows.at(x), half.shape[1]
         along, keys = half @ P[:n], [self.stated[k].key for k in self._key.tolist()]
         known = Mixture(np.ones(1), (self._errors.centre + half @ x[:n])[None], (along[:, :n] @ half.T)[None])
-        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, rows.shares(rows.at(x), along.T), out)
+        of_rows = rows.shares(X, along.T), doubted, float(rows.misfits(X).max())
+        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, *of_rows)
 
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.
