@@ -10,11 +10,12 @@ those of instruments, each over its stated sigma. z is found by Gauss and Newton
 gains multiply masses and angles turn gravity. The noise of each row is the residual of that hypothesis, no smaller than
 stated. Equations are the sums over all rows (:mod:`onboard.identification.rows.stated_errors.all_rows`), and what these
 are beyond linear where angles are likelier wrong (:mod:`onboard.identification.rows.checks.beyond_linear`). Where that
-explains nothing, they are rows of kept ticks that are made again (:mod:`onboard.identification.rows.checks.remade`),
-those included that the recursion refuses. These have errors that the sums do not have, of delays, steps, mounts, and
-angles that are far off. Where by the sums nothing is likelier wrong, but what is stated had to be taken wider
-(:mod:`onboard.identification.rows.stated_errors.stated`), they answer, too, where no more than noise is left over, or
-to refuse: a gripper that is heavier than it was weighed is to most motions the same as cells that all read too much.
+explains nothing, and all as stated leaves more over than noise, they are rows of kept ticks that are made again
+(:mod:`onboard.identification.rows.checks.remade`), those included that the recursion refuses. These have errors that
+the sums do not have, of delays, steps, mounts, and angles that are far off. Where by the sums nothing is likelier
+wrong, but what is stated had to be taken wider (:mod:`onboard.identification.rows.stated_errors.stated`), they answer,
+too, where no more than noise is left over, or to refuse: a gripper that is heavier than it was weighed is to most
+motions the same as cells that all read too much.
 
 The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows, in
 place of the recursion's. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of
@@ -100,20 +101,20 @@ class RowSuspects:
         self._all_remade = RowsRemade(model, base, self._of_all_rows.of_instruments)
         self._kept, self._rows, self._weighed_at = KeptTicks(), np.zeros(2), np.zeros(2)
         self._half, self._centre, self._sigma = errors.half(prior_root), errors.centre, errors.sigma
-        self._n, self._bank = errors.parameters, errors.bank
+        self._n, self._bank, self._of_weighed = errors.parameters, errors.bank, errors
         self._names = [row.name for row in model.rows]
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
         self._before: tuple[str, Mixture] | None = None  # likeliest of the last weighing, and the answer by it alone
-        self.explains = False
+        self.explains, self._misfit = False, math.inf  # with all as stated
 
     @property
     def explanation(self) -> str:
         """What is likelier wrong than all as stated; empty where nothing is, or much is left over with it of others."""
         if self.weighed is None:
             return ""
-        suspect, errors = self.weighed.likeliest.suspect, self._errors.of_instruments
+        suspect, errors = self.weighed.likeliest.suspect, self._of_weighed.of_instruments
         own = {errors[k].row for k in suspect.at - self._n if k >= 0} if suspect else set[str]()
         left = self._left is not None and (
             bool(contradicted_text(self._left.far))
@@ -177,9 +178,11 @@ class RowSuspects:
             return
         self._weighed_at, mean = self._rows.copy(), of.rls.solve().mean
         self._weigh_all(of, mean, ticks)
-        likeliest, by_all = self.weighed.names[:1] if self.weighed else (), (self.weighed, self.answer)
+        likeliest = self.weighed.names[:1] if self.weighed else ()
+        by_all = self.weighed, self.answer, self._of_weighed
         beyond = self._left is not None  # rows, what is linear in the errors of the likeliest
-        if not self.explains:
+        is_noise = self._misfit <= 1.0 and not (likeliest or contradicted or of.taken.said)
+        if not (self.explains or is_noise):
             # of rows that contradict each other the recursion has those that agree with the first
             self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
@@ -191,7 +194,7 @@ class RowSuspects:
                 if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
                     self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())
                 if not self.explains:
-                    (self.weighed, self.answer), self._left = by_all, None
+                    (self.weighed, self.answer, self._of_weighed), self._left = by_all, None
         elif contradicted and not beyond:
             self._weigh(ticks, mean, of.correlation, of.seen)
             self.explains = bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
@@ -239,7 +242,7 @@ class RowSuspects:
             moved = float((np.abs(about - before) / np.sqrt(np.diag(covariance))).max())
             if moved < SETTLED and np.allclose(noise, louder, rtol=SETTLED):
                 break
-        self.weighed, self._left = weighed, left.shares(about, noise)
+        self.weighed, self._of_weighed, self._left = weighed, self._errors, left.shares(about, noise)
         own = slice(0, n)
         off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
         self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
@@ -263,15 +266,15 @@ class RowSuspects:
         half, seen = errors.half(of.taken.prior_root), of.seen
         since_s = of.errors.settled_s(seen, mean, suspected=True)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
-        self.explains, self._left = False, None
+        self.explains, self._left, self._misfit = False, None, math.inf
         if not rows.share:
             return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
         try:
-            weighed, more = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
+            weighed, more, self._misfit = explained(rows, errors.bank, x, lambda weighed: not errors.moves(weighed))
         except np.linalg.LinAlgError:  # Gauss and Newton have gone where rows are not linear
             return
-        self.weighed, self.explains = weighed, more is not None
+        self.weighed, self._of_weighed, self.explains = weighed, errors, more is not None
         if more is None:
             return
         beyond: BeyondLinear | None = None

@@ -20,7 +20,7 @@ ROUNDS, SETTLED = 6, 0.1  # of Gauss and Newton; sigmas of the change in one
 
 def explained(
     rows: ErrorEquations, bank: Bank, x: FloatArray, linear: Callable[[Weighed], bool] = lambda weighed: True
-) -> tuple[Weighed, FloatArray | None]:
+) -> tuple[Weighed, FloatArray | None, float]:
     """All hypotheses by the rows, and whether the likeliest, of something wrong, explains these.
 
     First all is as stated; then the likeliest of those hypotheses is followed whose size a linear model explains.
@@ -33,11 +33,12 @@ def explained(
             tells nothing.
 
     Returns:
-        The hypotheses, and what the scatter of blocks adds to the covariance, (s, s); None where what is stated is
-        likelier, or more is left over than is doubted of noise.
+        The hypotheses; what the scatter of blocks adds to the covariance, (s, s), None where what is stated is
+        likelier, or more is left over than is doubted of noise; and the largest misfit of an instrument with all as
+        stated.
     """
     stated, noise = _settled(rows, x, rows.noise(rows.at(x)))
-    x = stated
+    x, as_it_is = stated, float(rows.misfits(rows.at(stated)).max())
     weighed, colour = _weighed(rows, bank, x, noise)
     likely = max((one for one in weighed.every if one.size < FARTHEST_SIZE), key=lambda one: one.weight)
     if likely.suspect is not None:
@@ -46,9 +47,9 @@ def explained(
     misfit = rows.misfit(rows.at(x), rows.at(stated))
     too_much = linear(weighed) and (colour > MISFIT_REFUSED or misfit > MISFIT_PART)
     if not weighed.contradicts or too_much:
-        return weighed, None
+        return weighed, None, as_it_is
     x, P = weighed.known(weighed.likeliest)
-    return weighed, rows.information(rows.at(x), colour * noise).scatter(P)
+    return weighed, rows.information(rows.at(x), colour * noise).scatter(P), as_it_is
 
 
 def as_stated(rows: ErrorEquations, x: FloatArray) -> Known:

@@ -9,11 +9,12 @@ from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
 from onboard.estimation.policy import LEAST_WEIGHT, sigmas
+from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks import remade, suspects
 from onboard.identification.rows.checks.prediction import prediction
 from onboard.identification.rows.checks.remade import KeptTicks, SmoothedTicks
 from onboard.identification.rows.held_out import held_out
-from onboard.identification.rows.stated_errors.considered import ConsideredErrors
+from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors
 from onboard.identification.standing import Level
 from tests.identification.rows import test_grasped as bench
 from tests.identification.rows.checks.arm_on_bench import (
@@ -118,6 +119,33 @@ def test_what_is_wrong_is_named_and_the_mass_is_as_well_known_as_without_it(what
     assert level(who) is Level.WEAK
     assert abs(off) < 3.0
     assert sigma < 2e-3
+
+
+def test_where_all_as_stated_leaves_no_more_than_noise_no_kept_tick_is_asked(monkeypatch):
+    """Errors of coarse encoders are alike from tick to tick: healthy arms had a cell that steps."""
+    asked, weigh = list[bool](), suspects.RowSuspects._weigh
+    monkeypatch.setattr(suspects.RowSuspects, "_weigh", lambda *of: asked.append(True) or weigh(*of))
+    for factor in (1.0, 8.0):
+        who, given = identifier(), run()
+        bench.feed(who, given._replace(sigma=factor * given.sigma))
+        assert who.findings() == Findings()
+        asked.clear()
+        who._bank._weighed_at[:] = 0.0
+        who._bank.go_on(who, contradicted=False)
+        assert bool(asked) is (factor == 1.0)
+
+
+def test_with_an_imu_on_the_bench_what_is_wrong_is_named_too():
+    """Errors of the IMU are among those that the sums over rows have; the estimator ended with an IndexError."""
+    effects = ["accelerometer_bias", "accelerometer_scale", "accelerometer_misalignment"]
+    of_imu = [Considered(f"{effect} {k}", "bench", effect, 1e-4, axis=k % 3) for effect in effects for k in range(30)]
+    who = identifier(more=of_imu)
+    bench.feed(who, geared(5, 0.98)(run()))
+    assert who.findings().doubts[0].startswith("not as stated: scale_joint_5")
+    assert abs(mass(who)[0]) < 3.0
+    bank, ticks = who._bank, who._bank._kept.ticks
+    bank._weigh_all(who, who.rls.solve().mean, ticks)
+    assert bank.explanation.startswith("not as stated: scale_joint_5")
 
 
 def test_scales_of_all_cells_are_not_told_from_a_gripper_that_is_heavier():

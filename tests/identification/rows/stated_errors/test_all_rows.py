@@ -58,7 +58,7 @@ def asked(seen):
 def found(seen, about=BETA):
     """Hypotheses, and mean and sigma of beta under the likeliest where it explains all rows."""
     rows, bank = asked(seen)
-    weighed, more = explained(rows, bank, np.concatenate([about / PRIOR, np.zeros(3)]))
+    weighed, more, _ = explained(rows, bank, np.concatenate([about / PRIOR, np.zeros(3)]))
     if more is None:
         return weighed, None, None
     x, P_ = weighed.known(weighed.likeliest)
