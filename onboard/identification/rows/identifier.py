@@ -130,8 +130,8 @@ class Identifier:
         self._fitted: tuple[int, tuple[InstrumentFit, ...]] | None = None  # rows used, how each instrument stands
         self._stated: StatedSigmas | None = None
         if stated and not free and start is None:
-            joints = [joint.name for joint in model.vehicle.joints]
-            cells = [k for k, name in enumerate(instruments) if name not in joints]
+            alone = {instrument_of(row.name) for row in model.rows if row.friction_joint}  # nobody else reads friction
+            cells = [k for k, name in enumerate(instruments) if name not in alone]
             of_file = stated, considered, instruments, base, self._as_stated, cells
             self._stated = StatedSigmas(*of_file, estimates=not model.vehicle.spec.base.moves)
         self._taken: tuple[int, Taken] | None = None  # rows used, and what is taken for granted of what is stated
