@@ -297,7 +297,8 @@ class JackknifeEstimate:
         """
         made = copy.copy(self)
         made.mean, made._instead = other.known[0], other
-        made._shares = self._shares if shares is None else shares
+        if shares is not None:
+            made._shares = shares
         return made
 
     def _rows_weight(self) -> float:

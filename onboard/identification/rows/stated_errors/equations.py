@@ -160,7 +160,7 @@ class ErrorEquations:
             scaled: base parameters that an error of all gains multiplies, (p,); those of X where not given.
         """
         H, doubt = np.zeros((len(X), len(X))), np.zeros(len(X))
-        times_s = np.unique(np.concatenate([part.times_s for part in self._parts]))
+        times_s = self._times_s()
         scores = np.zeros((len(times_s), len(X)))
         for part in self._parts:
             J, v = self._linear(part, X, scaled)
@@ -183,7 +183,7 @@ class ErrorEquations:
             along: covariance of the state with the functions, (s, m).
         """
         noise, moved = self.noise(X), self._L @ along
-        times_s = np.unique(np.concatenate([part.times_s for part in self._parts]))
+        times_s = self._times_s()
         told = np.zeros((len(times_s), along.shape[1], along.shape[1]))
         for part in self._parts:
             V = self._linear(part, X)[0] @ moved
@@ -206,20 +206,23 @@ class ErrorEquations:
             other: another; of the motion's noise at both the smaller counts, since at one that the rows do not tell it
                 may be any.
         """
-        left, _, stated = self._sums(X)
-        stated = np.minimum(stated, self._sums(other)[2])
-        return self._correlation * float((left / np.maximum(stated, 1.0)).max())
+        return float(self.misfits(X, other).max())
 
-    def misfits(self, X: FloatArray) -> FloatArray:
-        """That of each instrument at one estimate, (instruments,)."""
+    def misfits(self, X: FloatArray, other: FloatArray | None = None) -> FloatArray:
+        """That of each instrument, (instruments,); about one estimate where no other is given."""
         left, _, stated = self._sums(X)
-        return np.asarray(self._correlation * left / np.maximum(stated, 1.0), np.float64)
+        if other is not None:
+            stated = np.minimum(stated, self._sums(other)[2])
+        return np.asarray(self._correlation * (left / np.maximum(stated, 1.0)), np.float64)
 
     def doubting(self, instrument: int) -> "ErrorEquations":
         """The same, but all rows of an instrument count as one: what they leave over is not noise, and may be alike."""
         made = copy.copy(self)
         made._doubted = instrument
         return made
+
+    def _times_s(self) -> FloatArray:
+        return np.unique(np.concatenate([part.times_s for part in self._parts]))
 
     def _sums(self, X: FloatArray) -> FloatArray:
         """What an estimate leaves over of each instrument, its rows, and what noise explains, (3, instruments)."""
