@@ -367,6 +367,19 @@ def uncorrelated_s(width_s: float, kernel: Kernel = SPLINE) -> float:
     return width_s * float(at[np.argmax(autocorrelation <= 0.0)])
 
 
+@lru_cache(maxsize=8)
+def jerk_factor(kernel: Kernel = SPLINE) -> float:
+    """Of smoothed white noise: variances of the first and third derivative multiplied, over that of the second squared.
+
+    The first and the third are correlated by minus the square root of its inverse; derivatives of neighbouring orders
+    are not correlated (Papoulis, Probability, Random Variables, and Stochastic Processes, 1965, section 9-4).
+    """
+    u = np.linspace(-0.5, 0.5, 4001)
+    _, first, second = (part(u) for part in kernel.parts)
+    third = np.gradient(second, u)
+    return float((third @ third) * (first @ first) / (second @ second) ** 2)
+
+
 def _autocorrelation(kernel: Kernel, derivative: int) -> tuple[FloatArray, FloatArray]:
     """Of smoothed white noise, or of its derivative: lags in widths of the kernel, and the values there."""
     u = np.linspace(-0.5, 0.5, 4001)

@@ -26,6 +26,19 @@ class RowNoise:
         self._model, self._fold = model, fold
         self._imu_pose = model.vehicle.pose_in_base(imu_frame)
 
+    def of_joints_and_force(self, noise: SignalNoise, at: NDArray[np.intp]) -> FloatArray:
+        """Standard deviations of angles, rates, accelerations, and of the specific force in axes of the base.
+
+        Args:
+            noise: of the motion.
+            at: ticks wanted, (t,).
+
+        Returns:
+            (t, 3 joints + 3); zero where it is not known.
+        """
+        force = np.sqrt(noise.specific_force[at] ** 2 @ (self._imu_pose[0] ** 2).T)
+        return np.asarray(np.nan_to_num(np.hstack([noise.q[at], noise.dq[at], noise.ddq[at], force])), np.float64)
+
     def changes(
         self, signals: Signals, noise: SignalNoise, at: NDArray[np.intp], attached: BoolArray
     ) -> tuple[FloatArray, NDArray[np.intp]]:

@@ -241,7 +241,8 @@ class Identifier:
         reasons[ticks[which], column] |= verdict
         self.innovation[at[which], column] = innovation / spread
         if self._bank is not None:
-            self._bank.take(signals, at, attached[at], use, sigma)
+            noise = signals.noise and self._noise.of_joints_and_force(signals.noise, at)
+            self._bank.take(signals, at, attached[at], use, sigma, noise)
         if not kept.any():
             return
         use[use] = kept

@@ -24,7 +24,8 @@ from onboard.estimation.arrays import FloatArray
 from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.bank import Suspect
 from onboard.identification.evidence.mixture import Known
-from onboard.identification.rows.checks.remade import MOVING, RowsRemade, SmoothedTicks
+from onboard.identification.rows.checks.remade import MOVING, RowsRemade
+from onboard.identification.rows.checks.tick_rows import TickRows
 from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED
 from onboard.identification.rows.stated_errors.considered import Considered
 
@@ -35,28 +36,15 @@ class BeyondLinear:
     Args:
         remade: their rows, about errors of instruments.
         errors: these, e.
-        half: root of the prior of the base parameters, (p, n).
-        centre: base parameters as drawn, (p,).
-        sigma: of each error as stated, (e,).
-        ticks: with the weights of independent rows.
+        kept: the ticks.
         made_at: base parameters at which C was made, (p,).
     """
 
-    def __init__(
-        self,
-        remade: RowsRemade,
-        errors: Sequence[Considered],
-        half: FloatArray,
-        centre: FloatArray,
-        sigma: FloatArray,
-        ticks: SmoothedTicks,
-        made_at: FloatArray,
-    ) -> None:
-        self._remade, self._ticks = remade, ticks
-        self._half, self._centre, self._sigma = half, centre, sigma
+    def __init__(self, remade: RowsRemade, errors: Sequence[Considered], kept: TickRows, made_at: FloatArray) -> None:
+        self._remade, self._kept, self._made_at = remade, kept, made_at
         self._moves = np.array([one.effect in MOVING for one in errors])
-        self._made_at, as_read = made_at, remade.at(ticks, made_at, np.zeros(len(sigma)))
-        self._read, self._Y, self._C = as_read.reading, *np.split(as_read.slope, [len(centre)], axis=2)
+        as_read = remade.at(kept.ticks, made_at, np.zeros(len(errors)))
+        self._read, self._Y, self._C = as_read.reading, *np.split(as_read.slope, [len(made_at)], axis=2)
 
     def of(self, known: Known, suspect: Suspect | None) -> Known:
         """Mean and covariance of the state by rows as they are, of those by rows that are linear, under a hypothesis.
@@ -65,35 +53,24 @@ class BeyondLinear:
             known: mean, (n + e,), and covariance, by all rows.
             suspect: what may be wrong; None: all is as stated.
         """
-        x, P = known
+        (x, P), n = known, self._kept.half.shape[1]
         S = np.eye(len(x))
         if suspect is not None:
             S[np.ix_(suspect.at, suspect.at)] += suspect.along @ suspect.along.T
-        J = self.about(x)[1].reshape(-1, len(x))
-        weighted = (J * self._ticks.weight.reshape(-1, 1)).T
+        J = self._kept.about(x)[1].reshape(-1, len(x))
+        weighted = (J * self._kept.ticks.weight.reshape(-1, 1)).T
         gain, off = np.linalg.solve(weighted @ J + np.linalg.inv(S), weighted), np.zeros(len(x))
         for _ in range(ROUNDS):
             before, off = off, gain @ self._rho(x - off).ravel()
             if (np.abs(off - before) < SETTLED * np.sqrt(np.diag(P))).all():
                 break
-        own, bodies = off[: self._half.shape[1]], P[: self._half.shape[1], : self._half.shape[1]]
+        own, bodies = off[:n], P[:n, :n]
         length = float(own @ np.linalg.solve(bodies, own)) / max(len(own) - float(np.trace(bodies)), 1.0)
         return x - off, P * (1.0 + NOISE_SIGMA**2 * length)
 
-    def about(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Readings of the ticks, (t, m), and derivatives, (t, m, n + e), about a state."""
-        reading, slope = self._remade.at(self._ticks, *self._parts(x))
-        p = len(self._centre)
-        return reading, np.concatenate([slope[..., :p] @ self._half, slope[..., p:] * self._sigma], axis=2)
-
     def _rho(self, x: FloatArray) -> FloatArray:
         """What rows are beyond linear in errors of the motion, (t, m)."""
-        beta, errors = self._parts(x)
+        beta, errors = self._kept.parts(x)
         moved = np.where(self._moves, errors, 0.0)
         linear = self._read + self._Y @ (beta - self._made_at) + self._C @ moved
-        return self._remade.moved(self._ticks, beta, moved) - linear
-
-    def _parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Base parameters, (p,), and errors of instruments, (e,), by the state."""
-        n = self._half.shape[1]
-        return self._centre + self._half @ x[:n], self._sigma * x[n:]
+        return self._remade.moved(self._kept.ticks, beta, moved) - linear

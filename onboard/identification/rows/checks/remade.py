@@ -18,8 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.linalg import hadamard
 
 from onboard.estimation.arrays import ROUNDING, BoolArray, FloatArray
+from onboard.estimation.smoothing import jerk_factor
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import BaseMotion, RowModel
@@ -42,10 +44,30 @@ class SmoothedTicks(NamedTuple):
     measured: FloatArray  # (t, m), 0 where a row was not used
     rate: FloatArray  # (t, m) of what is measured
     weight: FloatArray  # (t, m) one over the variance of each row; 0 where it was not used
+    noise: FloatArray  # (t, 3 j + 3) standard deviations of angles, rates, accelerations, and of the force by axis
 
     def at(self, which: slice | BoolArray) -> "SmoothedTicks":
         """Some of them."""
         return _of(part[which] for part in self)
+
+    @property
+    def noisier(self) -> "SmoothedTicks":
+        """The same with one standard deviation of noise more in each signal.
+
+        Of ticks that follow each other the signs of all signals are rows of a Hadamard matrix: over as many as it has,
+        the noise of no two is alike. That of the jerk is made of those of rates and accelerations as a smoothed white
+        noise has it (:func:`.jerk_factor`).
+        """
+        (count, joints), ends = self.q.shape, np.cumsum([self.q.shape[1]] * 3)
+        signs = hadamard(1 << (self.noise.shape[1] + joints - 1).bit_length())[:, : self.noise.shape[1] + joints]
+        signs = signs[np.arange(count) % len(signs)]
+        q, dq, ddq, force = np.split(self.noise * signs[:, joints:], ends, axis=1)
+        rate, acceleration = self.noise[:, joints : 2 * joints], self.noise[:, 2 * joints : 3 * joints]
+        largest = np.divide(acceleration**2, rate, out=np.zeros_like(rate), where=rate > 0.0)
+        jerk = largest * np.sqrt(jerk_factor() - 1.0) * signs[:, :joints]
+        jerk -= largest * signs[:, 2 * joints : 3 * joints]
+        moved = {"q": self.q + q, "dq": self.dq + dq, "ddq": self.ddq + ddq, "jerk": self.jerk + jerk}
+        return self._replace(force=self.force + force, **moved)
 
 
 def _of(parts: Iterable[NDArray[Any]]) -> SmoothedTicks:

@@ -19,29 +19,23 @@ motions the same as cells that all read too much.
 
 The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows, in
 place of the recursion's. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of
-both answers; where the sums name another than the kept ticks, of that of these and of all as stated. What noise of the
-regressor adds to the information of all rows is taken off that of those kept.
+both answers; where the sums name another than the kept ticks, of that of these and of all as stated.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
-    DOUBT,
     MISFIT_PART,
     MISFIT_REFUSED,
-    MOST_SHARE,
     MOSTLY,
-    READING,
     contradicted_text,
-    sigmas,
 )
-from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.estimation.recursive.rls import SquareRootRls
 from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
@@ -49,6 +43,7 @@ from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
 from onboard.identification.rows.checks.remade import KeptTicks, RowsRemade, SmoothedTicks
 from onboard.identification.rows.checks.suspected import ErrorState
+from onboard.identification.rows.checks.tick_rows import Shares, TickRows
 from onboard.identification.rows.row_blocks import RowBlocks
 from onboard.identification.rows.stated_errors.all_rows import ROUNDS, SETTLED, explained
 from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors, rate_of
@@ -58,9 +53,6 @@ from onboard.identification.windows import SHORTEST
 from onboard.regressor.base_parameters import BaseParameters
 from onboard.regressor.rows import RowModel
 from onboard.regressor.signals import Signals
-
-_HUBER, _FAR = sigmas(DOUBT), sigmas(READING)  # rows beyond weigh less (Huber 1964); contradict
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 class _Estimated(Protocol):
@@ -100,8 +92,8 @@ class RowSuspects:
         self._remade = RowsRemade(model, base, errors.of_instruments)
         self._all_remade = RowsRemade(model, base, self._of_all_rows.of_instruments)
         self._kept, self._rows, self._weighed_at = KeptTicks(), np.zeros(2), np.zeros(2)
-        self._half, self._centre, self._sigma = errors.half(prior_root), errors.centre, errors.sigma
-        self._n, self._bank, self._of_weighed = errors.parameters, errors.bank, errors
+        self._half, self._centre, self._n = errors.half(prior_root), errors.centre, errors.parameters
+        self._of_weighed = errors
         self._names = [row.name for row in model.rows]
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
@@ -142,7 +134,15 @@ class RowSuspects:
             (against if is_most else doubts).append(f"{share:.0%} of what {name} reads is left over")
         return tuple(against), tuple(doubts)
 
-    def take(self, signals: Signals, at: IndexArray, attached: BoolArray, use: BoolArray, sigma: FloatArray) -> None:
+    def take(
+        self,
+        signals: Signals,
+        at: IndexArray,
+        attached: BoolArray,
+        use: BoolArray,
+        sigma: FloatArray,
+        noise: FloatArray | None = None,
+    ) -> None:
         """Takes the rows of ticks in, those too that the recursion's residual gate refuses.
 
         Args:
@@ -151,6 +151,7 @@ class RowSuspects:
             attached: (t,) whether the payload is held.
             use: (t, m) which rows no other gate refuses.
             sigma: of these, with the noise of the motion and as Huber widens it, (r,).
+            noise: of the motion, (t, 3 j + 3), see :class:`SmoothedTicks`; none where not given.
         """
         weight = np.zeros(use.shape)
         weight[use] = sigma**-2
@@ -160,7 +161,9 @@ class RowSuspects:
         cyclic = np.zeros((len(signals.q), 3, 0)) if signals.cyclic is None else signals.cyclic
         friction = np.zeros((len(signals.q), 0)) if signals.friction is None else signals.friction
         motion = signals.q[at], signals.dq[at], signals.ddq[at], jerk, cyclic[at], friction[at]
-        rows = attached, measured, np.where(use, rate, 0.0), weight
+        if noise is None:
+            noise = np.zeros((len(at), 3 * signals.q.shape[1] + 3))
+        rows = attached, measured, np.where(use, rate, 0.0), weight, noise
         self._kept.add(SmoothedTicks(signals.time_s[at], *motion, signals.motion.specific_force_m_s2[at], *rows))
         held = use[attached].sum()
         self._rows += held, use.sum() - held
@@ -184,7 +187,7 @@ class RowSuspects:
         is_noise = self._misfit <= 1.0 and not (likeliest or contradicted or of.taken.said)
         if not (self.explains or is_noise):
             # of rows that contradict each other the recursion has those that agree with the first
-            self._weigh(ticks, self._centre if contradicted else mean, of.correlation, of.seen)
+            self._weigh(ticks, self._centre if contradicted else mean, of.correlation)
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
             another = self.weighed is not None and likeliest not in ((), self.weighed.names[:1])  # named by the sums
             stated = of.taken.answer
@@ -196,7 +199,7 @@ class RowSuspects:
                 if not self.explains:
                     (self.weighed, self.answer, self._of_weighed), self._left = by_all, None
         elif contradicted and not beyond:
-            self._weigh(ticks, mean, of.correlation, of.seen)
+            self._weigh(ticks, mean, of.correlation)
             self.explains = bool(self.weighed and self.weighed.names[:1] == likeliest) and not self.judged()[0]
             self.answer = by_all[1]
         self._remember()
@@ -218,39 +221,39 @@ class RowSuspects:
             if before is not None and before[0] != self._before[0]:
                 self.answer = self.answer.or_else(before[1])
 
-    def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float, seen: RowBlocks) -> None:
+    def _weigh(self, ticks: SmoothedTicks, mean: FloatArray, correlation: float) -> None:
         """Weighs the hypotheses by the ticks that are kept.
 
         Args:
             ticks: these.
             mean: the recursion's estimate with all as stated, (p,): where Gauss and Newton begin.
             correlation: how many neighbouring rows say the same thing.
-            seen: the recursion's rows: what noise of the motion adds to their information.
         """
-        share = min(float(self._kept.every), correlation) * np.count_nonzero(ticks.weight) / self._rows.sum()
-        (ticks, lag), n = self._independent(ticks, correlation), self._n
-        about = np.zeros(n + len(self._sigma))
-        about[:n] = np.linalg.pinv(self._half) @ (mean - self._centre)
+        half, n = self._half, self._n
+        rows = self._rows_of(self._remade, half, self._errors, ticks, correlation)
+        about = np.zeros(n + len(self._errors.sigma))
+        about[:n] = np.linalg.pinv(half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
         for _ in range(ROUNDS):
-            A, b, left = self.equations(ticks, about, noise)
+            A, b, left = rows.equations(about, noise)
             P = np.asarray(np.linalg.inv(A + np.eye(len(A))), np.float64)
-            weighed = self._bank.weigh((P @ b, P))
+            weighed = self._errors.bank.weigh((P @ b, P))
             before, louder = about, noise
             about, covariance = weighed.known(weighed.likeliest)
-            noise = left.noise(about, noise, lag)
+            noise = left.noise(about, noise)
             moved = float((np.abs(about - before) / np.sqrt(np.diag(covariance))).max())
             if moved < SETTLED and np.allclose(noise, louder, rtol=SETTLED):
                 break
         self.weighed, self._of_weighed, self._left = weighed, self._errors, left.shares(about, noise)
-        own = slice(0, n)
-        off = covariance[own, own] @ self._attenuated(about[own], seen, share / noise)
-        self.answer = weighed.mixed(lambda one: self._known(*weighed.known(one, own), off))
+        self.answer = weighed.mixed(lambda one: self._of_base(half, *weighed.known(one, slice(0, n))))
 
-    def _independent(self, ticks: SmoothedTicks, correlation: float) -> tuple[SmoothedTicks, int]:
-        """Kept ticks with the weights of independent rows, and between how many of them nothing is alike."""
-        alike = min(float(self._kept.every), correlation)
-        return ticks._replace(weight=ticks.weight * alike), math.ceil(correlation / self._kept.every)
+    def _rows_of(
+        self, remade: RowsRemade, half: FloatArray, errors: ErrorState, ticks: SmoothedTicks, correlation: float
+    ) -> TickRows:
+        """Of kept ticks, with the weights of independent rows."""
+        alike, lag = min(float(self._kept.every), correlation), math.ceil(correlation / self._kept.every)
+        alone = ticks._replace(weight=ticks.weight * alike)
+        return TickRows(remade, half, self._centre, errors.sigma, alone, lag)
 
     def _weigh_all(self, of: _Estimated, mean: FloatArray, ticks: SmoothedTicks) -> None:
         """The same by the sums over all rows.
@@ -280,13 +283,11 @@ class RowSuspects:
         beyond: BeyondLinear | None = None
         if errors.moves(weighed):
             late = ticks.time_s >= np.array(since_s)[ticks.attached.astype(int)]
-            ticks, lag = self._independent(ticks.at(late), of.correlation)
-            known = half, errors.centre, errors.sigma
-            beyond = BeyondLinear(self._all_remade, errors.of_instruments, *known, ticks, mean)
+            kept = self._rows_of(self._all_remade, half, errors, ticks.at(late), of.correlation)
+            beyond = BeyondLinear(self._all_remade, errors.of_instruments, kept, mean)
             x, _ = beyond.of(weighed.known(weighed.likeliest), weighed.likeliest.suspect)
-            reading, J = beyond.about(x)
-            left = _Left(J, ticks.measured - reading + J @ x, ticks)
-            self._left = left.shares(x, left.noise(x, np.ones(ticks.weight.shape[1]), lag))
+            left = kept.left(x)
+            self._left = left.shares(x, left.noise(x, np.ones(ticks.weight.shape[1])))
             self.explains = not self.judged()[0] and bool((self._left.noise <= MISFIT_PART).all())
             if not self.explains:
                 return
@@ -297,103 +298,6 @@ class RowSuspects:
 
         self.answer = weighed.mixed(base).wider(np.asarray(half @ more[own, own] @ half.T, np.float64))
 
-    def _known(self, z: FloatArray, P: FloatArray, off: FloatArray) -> Known:
-        """Base parameters by the errors of their prior, z, corrected for noise of the motion by ``off``."""
-        moved = self._half @ off
-        mean, covariance = self._of_base(self._half, z, P)
-        return mean + moved, covariance + NOISE_SIGMA**2 * np.outer(moved, moved)
-
     def _of_base(self, half: FloatArray, z: FloatArray, P: FloatArray) -> Known:
         """Base parameters by errors of their prior."""
         return self._centre + half @ z, np.asarray(half @ P @ half.T, np.float64)
-
-    def _attenuated(self, z: FloatArray, seen: RowBlocks, share: FloatArray) -> FloatArray:
-        """``N z - n``, (n,), by which noise of the motion makes the right-hand side of z too small.
-
-        N is what that noise adds to the information, n to the right-hand side; to first order the estimate is too small
-        by its covariance times this.
-
-        Args:
-            z: errors of the prior.
-            seen: the recursion's rows.
-            share: of their information that kept ticks have, by row, (m,).
-        """
-        p, total = len(self._centre), np.zeros(len(z))
-        beta = [*(self._centre + self._half @ z), -1.0]
-        for row, part in enumerate(share.tolist()):
-            total += part * (self._half.T @ (self._noise_of_motion(seen, row) @ beta)[:p])
-        return total
-
-    def _noise_of_motion(self, seen: RowBlocks, row: int) -> FloatArray:
-        """What it adds to the normal equations of all rows of one kind, (p + 1, p + 1), the left-hand side last."""
-        p = len(self._centre)
-        parts = [seen.apart(*part)[1].sum(axis=0)[: p + 1, : p + 1] for part in seen.parts if part[1] == row]
-        return np.asarray(sum(parts, np.zeros((p + 1, p + 1))), np.float64)
-
-    def equations(
-        self, ticks: SmoothedTicks, z: FloatArray, noise: FloatArray
-    ) -> tuple[FloatArray, FloatArray, "_Left"]:
-        """Information and right-hand side of z about a value of it, and what another leaves over.
-
-        Args:
-            ticks: with the weights of independent rows.
-            z: errors, each over its sigma.
-            noise: variance of each row over that stated, (m,).
-        """
-        n = self._n
-        beta, errors = self._centre + self._half @ z[:n], self._sigma * z[n:]
-        reading, slope = self._remade.at(ticks, beta, errors)
-        p = len(beta)
-        J = np.concatenate([slope[..., :p] @ self._half, slope[..., p:] * self._sigma], axis=2)
-        r = ticks.measured - reading
-        far = np.abs(r) * np.sqrt(ticks.weight / noise)
-        weight = ticks.weight / noise * np.minimum(1.0, _HUBER / np.maximum(far, _HUBER))
-        flat = J.reshape(-1, len(z))
-        weighted = flat * weight.reshape(-1, 1)
-        target = r + J @ z
-        return weighted.T @ flat, weighted.T @ target.ravel(), _Left(J, target, ticks)
-
-
-class _Left(NamedTuple):
-    """Rows about an estimate, to be held against another."""
-
-    slope: FloatArray  # (t, m, n)
-    target: FloatArray  # (t, m)
-    ticks: SmoothedTicks
-
-    def noise(self, z: FloatArray, before: FloatArray, lag: int) -> FloatArray:
-        """Mean square of what is left over of each row, over its variance, (m,); none below one.
-
-        What is alike for longer than the smoothing makes it, as a process of first order with the correlation r at
-        the first lag that shares no samples, counts ``(1 + r) / (1 - r)`` times (Priestley, Spectral Analysis, 1981).
-
-        Args:
-            z: the estimate.
-            before: what it was held for, (m,): what is far off by that counts as Huber has it.
-            lag: ticks, between which the smoothing makes nothing alike.
-        """
-        left = self.target - self.slope @ z
-        squares = np.minimum(left**2 * self.ticks.weight, _HUBER**2 * before)
-        count = (self.ticks.weight > 0.0).sum(axis=0)
-        each = np.sign(left) * np.sqrt(squares)
-        alike = (each[lag:] * each[:-lag]).sum(axis=0) / np.maximum(squares[lag:].sum(axis=0), _TINY)
-        alike = np.clip(alike - 2.0 / np.sqrt(np.maximum(count, 1)), 0.0, MOST_SHARE)
-        loud = squares.sum(axis=0) / np.maximum(count, 1) * (1.0 + alike) / (1.0 - alike)
-        return np.asarray(np.maximum(1.0, loud), np.float64)
-
-    def shares(self, z: FloatArray, noise: FloatArray) -> "Shares":
-        """What is left over, as shares."""
-        weight = self.ticks.weight
-        squares = (self.target - self.slope @ z) ** 2 * weight
-        mean = (self.ticks.measured * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), _TINY)
-        read = ((self.ticks.measured - mean) ** 2 * weight).sum(axis=0)
-        far = float((squares > _FAR**2 * noise).sum() / max((weight > 0.0).sum(), 1))
-        return Shares(np.sqrt(squares.sum(axis=0) / np.maximum(read, _TINY)), noise, far)
-
-
-class Shares(NamedTuple):
-    """What the likeliest hypothesis leaves over."""
-
-    of_read: FloatArray  # (m,) of what is read of each row, its changes alone
-    noise: FloatArray  # (m,) variance of each row over that stated
-    far: float  # of all rows, those farther off than any noise

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray, eigen
-from onboard.estimation.recursive.consistency import NOISE_SIGMA
 from onboard.identification.evidence.mixture import Known
 from onboard.identification.rows.row_blocks import RowBlocks
+from onboard.identification.rows.stated_errors.regressor_noise import told
 
 _MOST = 0.25 * float(np.log(np.finfo(np.float64).max))  # logarithm of a gain whose square has a square
 
@@ -72,7 +72,6 @@ class Information(NamedTuple):
     A: FloatArray  # (s, s)
     r: FloatArray  # right-hand side, (s,)
     scores: FloatArray  # of each block, (b, s)
-    doubt: FloatArray  # what the noise of the regressor was in the right-hand side, (s,)
 
     def colour(self, width: FloatArray | float = 1.0) -> float:
         """How much more the scores of blocks scatter than the information says, as a variance.
@@ -90,8 +89,7 @@ class Information(NamedTuple):
         """Mean and covariance of the state with all as stated, its information divided by a colour."""
         values, V = eigen(self.A)  # an inverse is rounded to what is known best
         P = V / (1.0 + np.maximum(values, 0.0) / colour) @ V.T
-        moved = NOISE_SIGMA / colour * P @ self.doubt
-        return P @ self.r / colour, P + np.outer(moved, moved)
+        return P @ self.r / colour, P
 
     def scatter(self, P: FloatArray) -> FloatArray:
         """What the scatter of blocks adds to the covariance P of the estimate, (s, s), in directions where it does.
@@ -159,21 +157,20 @@ class ErrorEquations:
             noise: variance of each instrument over that of its weights, (instruments,).
             scaled: base parameters that an error of all gains multiplies, (p,); those of X where not given.
         """
-        H, doubt = np.zeros((len(X), len(X))), np.zeros(len(X))
+        (H, N), d = np.zeros((2, len(X), len(X))), np.zeros(len(X))
         times_s = self._times_s()
         scores = np.zeros((len(times_s), len(X)))
         for part in self._parts:
             J, v = self._linear(part, X, scaled)
             weighted = J.T / noise[part.instrument]
             H += weighted @ part.sums @ J
-            doubt += weighted @ (part.noise @ v)
+            N += weighted @ part.noise @ J
+            d += weighted @ (part.noise @ v)
             scores[np.searchsorted(times_s, part.times_s)] -= (part.blocks @ v) @ weighted.T
-        values, V = eigen(self._L.T @ H @ self._L)
-        V, values = V[:, values > 0.0], values[values > 0.0]  # the others are of regressors that are noise
-        told = V @ V.T
-        each = scores @ self._L @ told
-        offset = told @ (self._L.T @ (H @ (X - self._drawn)))
-        return Information(V * values @ V.T, each.sum(axis=0) + offset, each, self._L.T @ doubt)
+        A, added = (self._L.T @ part @ self._L for part in (H, N))
+        A, gain = told(A, A + added, self._L.T @ d, np.abs(self._L.T) @ np.sqrt(np.diag(H + N).clip(0.0)))
+        each = scores @ self._L @ gain.T
+        return Information(A, each.sum(axis=0) + gain @ (self._L.T @ (H @ (X - self._drawn))), each)
 
     def shares(self, X: FloatArray, along: FloatArray) -> FloatArray:
         """What the rows of each time tell of functions of the state, (b, m, m), of which only ratios are used.

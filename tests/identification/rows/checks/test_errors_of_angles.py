@@ -12,6 +12,7 @@ from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
 from onboard.identification.rows.checks.remade import MOVING, RowsRemade, SmoothedTicks, turned
 from onboard.identification.rows.checks.suspected import suspected
+from onboard.identification.rows.checks.tick_rows import TickRows
 from onboard.identification.rows.stated_errors.considered import Considered
 from onboard.regressor.base_parameters import base_parameters
 from onboard.regressor.rows import BaseMotion, RowModel, joint_torque_row, load_cell_row
@@ -55,6 +56,7 @@ def test_derivatives_of_remade_rows_are_differences(rng, driven):
         t > 2.0,
         *(rng.standard_normal((4, m)) for _ in range(2)),
         np.ones((4, m)),
+        np.zeros((4, 18)),
     )
     beta, size = rng.standard_normal(p), 0.01
     at = size * rng.standard_normal(len(errors))
@@ -83,7 +85,7 @@ def test_a_late_encoder_is_corrected_to_second_order(rng):
         angle, still = np.outer(at, speed) + 0.5 * np.outer(at**2, up), np.zeros((9, 6))
         motion = angle, speed + np.outer(at, up), np.tile(up, (9, 1)), np.zeros((9, 5))
         force, none = np.tile([0.0, 0.0, 9.8], (9, 1)), (np.zeros((9, 3, 0)), np.zeros((9, 0)))
-        return SmoothedTicks(t, *motion, *none, force, t > 0.5, still, still, still)
+        return SmoothedTicks(t, *motion, *none, force, t > 0.5, still, still, still, np.zeros((9, 18)))
 
     late = np.array([late_s * (one.effect == "joint_delay") for one in errors])
     corrected = remade.at(ticks(t - late_s), beta, late).reading
@@ -247,9 +249,10 @@ def test_of_errors_of_angles_what_is_beyond_linear_is_taken_off_the_estimate():
     errors, ticks = bank._of_all_rows, bank._kept.ticks
     suspect = next(one for one in errors.bank.suspects if one.name == "scale_joint_2")
     half, remade = errors.half(who.taken.prior_root), RowsRemade(who.model, who.base, errors.of_instruments)
-    beyond = BeyondLinear(remade, errors.of_instruments, half, errors.centre, errors.sigma, ticks, mean)
+    rows = TickRows(remade, half, errors.centre, errors.sigma, ticks, 1)
+    beyond = BeyondLinear(remade, errors.of_instruments, rows, mean)
     n, s = half.shape[1], half.shape[1] + len(errors.sigma)
-    drawn, about = beyond.about(np.zeros(s))
+    drawn, about = rows.about(np.zeros(s))
     C = remade.at(ticks, mean, 0.0 * errors.sigma).slope[..., len(mean) :] * errors.sigma
     J = np.concatenate([about[..., :n], C], axis=2).reshape(-1, s)
     S = np.eye(s)

@@ -13,6 +13,7 @@ from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks import remade, suspects
 from onboard.identification.rows.checks.prediction import prediction
 from onboard.identification.rows.checks.remade import KeptTicks, SmoothedTicks
+from onboard.identification.rows.checks.tick_rows import Left, TickRows
 from onboard.identification.rows.held_out import held_out
 from onboard.identification.rows.stated_errors.considered import Considered, ConsideredErrors
 from onboard.identification.standing import Level
@@ -211,10 +212,10 @@ def test_a_large_error_is_linearised_anew(monkeypatch):
     assert name not in once.suspects.weighed.names or abs(mass(once)[0]) > 3.0 or mass(once)[1] > 2e-3
 
 
-def test_weighed_again_after_a_fifth_more_rows_with_the_payload_or_without():
+def test_weighed_again_after_a_fifth_more_rows_with_the_payload_or_without(monkeypatch):
     who, given, made = identifier(), run(), []
-    weigh = who._bank.equations
-    who._bank.equations = lambda *of: made.append(len(of[0].time_s)) or weigh(*of)
+    weigh = TickRows.equations
+    monkeypatch.setattr(TickRows, "equations", lambda *of: made.append(len(of[0].ticks.time_s)) or weigh(*of))
     for first in range(0, 400, 4):
         bench.feed(who, part(given, slice(first, first + 4)))
     apart = np.diff(sorted(set(made)))
@@ -256,7 +257,7 @@ def test_every_nth_tick_is_kept_however_they_come(monkeypatch):
         kept, first = KeptTicks(), 0
         for count in parts:
             t = np.arange(first, first + count, dtype=float)
-            kept.add(SmoothedTicks(t, *(t[:, None] for _ in range(7)), t > 0, *(t[:, None] for _ in range(3))))
+            kept.add(SmoothedTicks(t, *(t[:, None] for _ in range(7)), t > 0, *(t[:, None] for _ in range(4))))
             first += count
         assert kept.every == 16
         np.testing.assert_array_equal(kept.ticks.time_s, np.arange(0.0, 97.0, 16.0))
@@ -268,8 +269,8 @@ def test_what_is_left_over_and_alike_for_long_counts_as_more_noise(rng):
     for k in range(1, 400):
         left[k] = [0.7, 0.0] * left[k - 1] + np.sqrt([0.51, 1.0]) * again[k]
     own = np.zeros((400, 1))
-    ticks = SmoothedTicks(own[:, 0], *(own for _ in range(7)), own[:, 0] > 0, left, own, np.ones((400, 2)))
-    alike, white = suspects._Left(np.zeros((400, 2, 1)), left, ticks).noise(np.zeros(1), np.ones(2), 1)
+    ticks = SmoothedTicks(own[:, 0], *(own for _ in range(7)), own[:, 0] > 0, left, own, np.ones((400, 2)), own)
+    alike, white = Left(np.zeros((400, 2, 1)), left, ticks, 1).noise(np.zeros(1), np.ones(2))
     assert 3.0 < alike < 8.0  # (1 + r) / (1 - r) is 5.7
     assert white < 1.4
 
