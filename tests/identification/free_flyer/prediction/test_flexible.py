@@ -82,11 +82,11 @@ def test_a_stiffness_that_is_missing_or_wrong_is_the_reason(springy, off, stated
 @pytest.mark.campaign  # of an arm without springs, whose state has the same form: test_recursive
 def test_a_checkpoint_goes_on_to_the_same_bits(springy):
     identifier, ticks = flight_of(springy, OFF)
-    identifier.ekf.update(ticks.part(slice(0, 400)))
+    identifier.ekf.update(ticks.part(slice(0, 430)))
     copy = pickle.loads(pickle.dumps(identifier.ekf))
     assert identifier.ekf.state is not None
     for one in (identifier.ekf, copy):
-        one.update(ticks.part(slice(400, 470)))
+        one.update(ticks.part(slice(430, 500)))
     assert same_bits(identifier.ekf, copy)
 
 
