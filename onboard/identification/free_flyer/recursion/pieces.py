@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 
 from onboard.estimation.arrays import SINGULAR, BoolArray, FloatArray, IndexArray
 from onboard.estimation.maximum_likelihood import Normal
+from onboard.estimation.policy import LIKELIER
 from onboard.identification.corrections import LEAST_TOLD
 from onboard.identification.free_flyer.prediction.imu_prediction import PAYLOAD, PIECE, RATE, ImuPredictor
 from onboard.identification.free_flyer.prediction.ticks import BATCH_TICKS, Ticks
@@ -212,7 +213,7 @@ class Problem(NamedTuple):
     active: NDArray[np.intp]  # what is estimated; the rest stays as it is in the mean
 
     def as_stated(self, x: FloatArray, told: FloatArray) -> FloatArray | None:
-        """The same with what the ticks do not tell at its prior mean; None if they tell all.
+        """The same with what the ticks do not tell at its prior mean; None if that is no likelier than it is.
 
         A damped iteration from a guess may move two unknowns that cancel each other, as a joint's place and what hangs
         on it, and hardly takes it back, as each has a large effect by itself.
@@ -227,7 +228,7 @@ class Problem(NamedTuple):
         share, V = eigh(stated / np.outer(scale, scale), both / np.outer(scale, scale))  # V' both V = 1
         untold = V[:, share > 1.0 - LEAST_TOLD]  # the ticks do not tell of these
         away = untold.T @ (both @ (x - self.mean[self.active]) / scale)  # in prior sigmas
-        return x - untold @ away / scale if away.size else None
+        return x - untold @ away / scale if 0.5 * float(away @ away) > -np.log(LIKELIER) else None
 
     def state(self, x: FloatArray) -> FloatArray:
         """The whole state with these values of what is active."""
