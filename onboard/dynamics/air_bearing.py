@@ -150,12 +150,18 @@ def predict_run(
         free: links whose ten columns are wanted in the derivatives, as in
             :func:`onboard.dynamics.free_flight.predict_base`.
         ticks: only the first so many; all, where not given.
+
+    Returns:
+        NaN where masses have no motion.
     """
     first = slice(2 * (run.ticks if ticks is None else ticks) - 1)
     over = legvander(np.linspace(-1.0, 1.0, 2 * run.ticks - 1)[first], SAGS)[:, 1:]  # (m, SAGS), of the run
     growth = np.exp(over @ drag.sag)
     G, T = run.wrench(chi, free, first), run.columns(free)[first]  # (m, 3, 6), (m, 3, 6, P)
-    inverse = np.linalg.inv(G[:, :, :3])
+    try:
+        inverse = np.linalg.inv(G[:, :, :3])
+    except np.linalg.LinAlgError:  # bodies of this mass have no motion, as a negative payload that cancels the base
+        inverse = np.full((len(G), 3, 3), np.nan)
     known = -(inverse @ G[:, :, 3:])  # (m, 3, 3) what a is without drag, of 1, w, w^2
     pucks = np.column_stack(drag[:3]).reshape(-1, 4)
     n, width = len(G) // 2 + 1, 3 + T.shape[3] + 2 * len(pucks) + SAGS + 2

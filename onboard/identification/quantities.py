@@ -71,9 +71,10 @@ class Quantity(NamedTuple):
     known: tuple[float, float] | None = None  # from the drawing, with its sigma: a witness, no prior
 
 
-def outer_of(mean: Numbers, low: Numbers, high: Numbers) -> tuple[Numbers, Numbers]:
-    """Ends of the 99.9 % interval of a normal by those of 95 %, a number or (n,) each."""
-    return mean - wider() * (mean - low), mean + wider() * (high - mean)
+def outer_of(mean: Numbers, low: Numbers, high: Numbers, far: Numbers | None = None) -> tuple[Numbers, Numbers]:
+    """Ends of the 99.9 % interval by those of 95 %, a number or (n,) each; ``far``: times as wide, of no normal."""
+    times = wider() if far is None else far
+    return mean - times * (mean - low), mean + times * (high - mean)
 
 
 class QuantityEstimate(NamedTuple):
@@ -102,6 +103,10 @@ class QuantityEstimate(NamedTuple):
     def outer(self) -> tuple[float, float]:
         """Ends of its 99.9 % interval."""
         return outer_of(self.value, self.low, self.high) if self.own_outer is None else self.own_outer
+
+    def as_far(self, far: float) -> "QuantityEstimate":
+        """With a 99.9 % interval so many times as wide as the other."""
+        return self._replace(own_outer=outer_of(self.value, self.low, self.high, far))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values of an answer of ``heft identify``, None for NaN."""
@@ -135,6 +140,7 @@ class Estimate(NamedTuple):
     rows_used: int
     refused: dict[GateReason, int]  # rows by reason; a row with two reasons counts in both
     also: tuple[QuantityEstimate, ...] = ()  # of how a captured body came; from its capture on, at most MOST_ALSO
+    far: FloatArray | None = None  # (p,) half of a 99.9 % interval over that of the other, where not that of a normal
 
 
 def inertia_about_joint(vehicle: VehicleModel, joint: str) -> FloatArray:

@@ -45,7 +45,7 @@ from scipy.special import stdtrit
 
 from onboard.estimation.arrays import TINY, BoolArray, FloatArray, IndexArray, eigen
 from onboard.estimation.errors import RowError
-from onboard.estimation.policy import DOUBT, HALF, INTERVAL, MOST_SHARE, of_each, sigmas
+from onboard.estimation.policy import DOUBT, HALF, INTERVAL, MOST_SHARE, of_each, sigmas, wider
 from onboard.estimation.recursive.blocks import TimeBlocks
 from onboard.estimation.recursive.rls import Solution, SquareRootRls
 
@@ -113,6 +113,7 @@ class Interval(NamedTuple):
     degrees_of_freedom: FloatArray  # of the row part of sigma
     low: FloatArray
     high: FloatArray
+    far: FloatArray  # half of the 99.9 % interval over that of the other
 
 
 class Instead(Protocol):
@@ -122,8 +123,8 @@ class Instead(Protocol):
     def known(self) -> tuple[FloatArray, FloatArray]:
         """Mean, (p,), and covariance, (p, p)."""
 
-    def covering(self, along: FloatArray) -> FloatArray:
-        """Sigmas of linear functions, (r,), of (r, p)."""
+    def half_widths(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half of the 95 % and of the 99.9 % intervals of linear functions, (r,) each, of (r, p)."""
 
 
 class NoiseScale(NamedTuple):
@@ -364,11 +365,14 @@ class JackknifeEstimate:
         if self._scale is not None:
             freedom = np.full_like(total, self._scale.freedom)
         variance = np.maximum(jackknife + prior, self._least * self.formal_variance(w))
+        far = np.full_like(total, wider())
         if self._instead is not None:
-            variance, common = self._instead.covering(w) ** 2, np.zeros_like(common)
+            near, beyond = self._instead.half_widths(w)
+            variance, common = (near / HALF) ** 2, np.zeros_like(common)
+            far = np.divide(beyond, near, out=far, where=near > 0.0)
         t = stdtrit(freedom, 0.5 + 0.5 * INTERVAL)
         half = np.sqrt(t**2 * variance + HALF**2 * common)
-        return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half)
+        return Interval(mean, np.sqrt(variance + common), freedom, mean - half, mean + half, far)
 
 
 def noise_scale(normal: FloatArray, scores: FloatArray, covariance: FloatArray) -> NoiseScale:

@@ -66,7 +66,9 @@ class Answers:
         for field in ("low", "high", "sigma", "supported"):
             answers[field][:p] = getattr(estimate, field)
         answers["value"][:p] = estimate.mean
-        answers["low_999"][:p], answers["high_999"][:p] = outer_of(estimate.mean, estimate.low, estimate.high)
+        answers["low_999"][:p], answers["high_999"][:p] = outer_of(
+            estimate.mean, estimate.low, estimate.high, estimate.far
+        )
         answers["supported"][:p] &= np.array([name not in self._nuisance for name in estimate.names], np.bool_)
         answers["name"][:p] = [name.encode() for name in estimate.names]
         of_all = Standing(Level.GOOD).after(findings._replace(widened=()))

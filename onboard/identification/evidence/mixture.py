@@ -1,5 +1,6 @@
 """Mixture of Gaussians: the answer under several hypotheses."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
 from onboard.estimation.arrays import FloatArray
-from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, sigmas, tails
+from onboard.estimation.policy import INTERVAL, LEAST_WEIGHT, tails
 
 Known = tuple[FloatArray, FloatArray]  # mean, (p,), and covariance, (p, p)
 REPORTED = *tails(1.0 - INTERVAL), *tails(LEAST_WEIGHT)
@@ -32,6 +33,19 @@ class Mixture(NamedTuple):
     def wider(self, covariance: FloatArray) -> "Mixture":
         """With a doubt of this covariance, (p, p), common to all."""
         return self._replace(covariances=self.covariances + covariance)
+
+    def beside(self, others: Sequence[tuple[float, FloatArray, FloatArray]]) -> "Mixture":
+        """With other hypotheses, each by its probability, the shift of its mean, (p,), and a root of its covariance.
+
+        Both are relative to this one: the shift is of its mean, the root, (p, r), of what is added to its covariance.
+        """
+        if not others:
+            return self
+        mean, covariance = self.known
+        weights, shifts, added = zip(*((w, shift, root @ root.T) for w, shift, root in others), strict=True)
+        of_self = (1.0 - sum(weights)) * self.weights
+        means = np.concatenate([self.means, mean + np.array(shifts)])
+        return Mixture(np.append(of_self, weights), means, np.concatenate([self.covariances, covariance + added]))
 
     def or_else(self, other: "Mixture") -> "Mixture":
         """It, or another one, of which it is not known which is right."""
@@ -58,8 +72,8 @@ class Mixture(NamedTuple):
             low, high = np.where(less, middle, low), np.where(less, high, middle)
         return np.asarray(np.where(share < 0.5, low, high), np.float64)
 
-    def covering(self, along: FloatArray) -> FloatArray:
-        """Sigmas of linear functions of it, (m,), of which 3.29 contain its 99.9 % intervals; no less than its own.
+    def half_widths(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of linear functions of it, half of what contains 95 %, and 99.9 %, about its mean, (m,) each.
 
         A large error of low probability hardly changes the variance, but determines the 99.9 % interval: of two
         Gaussians of one sigma, the second with weight 0.01 and ten sigmas away, 99.9 % lie within 11.5 sigmas of the
@@ -68,8 +82,8 @@ class Mixture(NamedTuple):
         Args:
             along: the functions, (m, p).
         """
-        far = np.abs(self.ends(along, tails(LEAST_WEIGHT))).max(axis=0) / sigmas(LEAST_WEIGHT)
-        return np.asarray(np.maximum(far, np.sqrt(np.einsum("ij,jk,ik->i", along, self.known[1], along))), np.float64)
+        ends = np.abs(self.ends(along, REPORTED))
+        return np.maximum(ends[0], ends[1]), np.maximum(ends[2], ends[3])
 
     def shares(self, along: FloatArray, ends: FloatArray) -> FloatArray:
         """Of what lies beyond intervals of linear functions, the share of each Gaussian, (k, m).

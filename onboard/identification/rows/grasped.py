@@ -110,11 +110,12 @@ class GraspedPayload:
         numbers = np.column_stack([value, sigma, value - half, value + half])
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]
+        each = zip(self.names, BODY_UNITS, numbers.tolist(), shrinkage, weak, said, found.far.tolist(), strict=True)
         return tuple(
-            QuantityEstimate(name, unit, of[0], of[1], of[2], of[3], not lost, shrinkage=float(s), note=note)
-            for name, unit, of, s, lost, note in zip(
-                self.names, BODY_UNITS, numbers.tolist(), shrinkage, weak, said, strict=True
+            QuantityEstimate(name, unit, of[0], of[1], of[2], of[3], not lost, shrinkage=float(s), note=note).as_far(
+                far
             )
+            for name, unit, of, s, lost, note, far in each
         )
 
 

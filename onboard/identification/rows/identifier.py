@@ -351,7 +351,9 @@ class Identifier:
             return made
         if self.suspects:
             return made if self.suspects.answer is None else made.instead(self.suspects.answer)
-        return made if self.by_errors is None else made.instead(self.by_errors.known, self.by_errors.shares)
+        if (by := self.by_errors) is None:
+            return made
+        return made.instead(by.known.beside(self._bank.unseen if self._bank else ()), by.shares)
 
     def _recursions(self, exact: bool) -> JackknifeEstimate:
         return jackknives.last(self, exact, self._block_jackknife)
@@ -407,8 +409,10 @@ class Identifier:
             answered(quantity, own, bool(fine), cause, self.considered, jackknife.mean)
             for quantity, own, fine, cause in each
         ]
+        quantities = [one.as_far(far) for one, far in zip(quantities, interval.far[p:].tolist(), strict=True)]
         if self.payload:
             why = (not self.suspects and self.contradicted) or self.contradiction(jackknife)
             quantities += self.payload.quantities(jackknife, prior, unstated, why, self._share(GateReason.SATURATED))
         told = sigmas[:p], lows[:p], highs[:p], supported[:p], tuple(quantities)
-        return Estimate(self.base.names, jackknife.mean, *told, self.rows_used, dict(self.refused))
+        of_rows = self.rows_used, dict(self.refused)
+        return Estimate(self.base.names, jackknife.mean, *told, *of_rows, far=interval.far[:p])

@@ -42,7 +42,14 @@ class Gaussian(NamedTuple):
     def combination(self, weights):
         sigma = np.sqrt(np.einsum("ij,jk,ik->i", weights, self.covariance, weights))
         mean = np.zeros_like(sigma)
-        return Interval(mean, sigma, np.full_like(sigma, np.inf), mean - 1.959964 * sigma, mean + 1.959964 * sigma)
+        return Interval(
+            mean,
+            sigma,
+            np.full_like(sigma, np.inf),
+            mean - 1.959964 * sigma,
+            mean + 1.959964 * sigma,
+            np.ones_like(sigma),
+        )
 
 
 def test_the_quantities_of_the_urdf_are_the_urdf():

@@ -80,6 +80,12 @@ def test_the_imu_is_predicted_and_its_slopes_are_differences(run):
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-4 * np.abs(slope).max() + 1e-5, err_msg=name)
 
 
+def test_of_masses_that_have_no_motion_nothing_is_predicted(run):
+    """A step of a fit may go there: it was the end of ``heft identify``."""
+    found = predict_run(PlanarRun(run.vehicle, exact(run)), np.zeros(3), 0.0 * run.chi, pulls(DRAGS), np.zeros(2), ())
+    assert np.isnan(found.base.specific_force[:, :2]).all()
+
+
 def test_the_supply_sags_and_all_drags_grow_from_half_to_twice(run):
     joints, still, drag = PlanarRun(run.vehicle, exact(run)), np.zeros(2), pulls(DRAGS)
     start = np.array([0.2, -0.1, 0.3])

@@ -81,6 +81,8 @@ class RowSuspects:
     Attributes:
         weighed: the hypotheses, once there are rows enough.
         answer: the base parameters by all hypotheses that count.
+        unseen: while all as stated is likeliest, of each other that counts its probability, and what it does to
+            the mean of the base parameters, (p,), and adds to their covariance, (p, r), as a root.
         explains: whether something is likelier wrong than all as stated, and all rows are explained by it.
     """
 
@@ -98,6 +100,7 @@ class RowSuspects:
         self.weighed: Weighed | None = None
         self._left: Shares | None = None
         self.answer: Mixture | None = None
+        self.unseen: tuple[tuple[float, FloatArray, FloatArray], ...] = ()
         self._before: tuple[str, Mixture] | None = None  # likeliest of the last weighing, and the answer by it alone
         self.explains, self._misfit = False, math.inf  # with all as stated
 
@@ -269,7 +272,7 @@ class RowSuspects:
         half, seen = errors.half(of.taken.prior_root), of.seen
         since_s = of.errors.settled_s(seen, mean, suspected=True)
         rows = ErrorEquations(seen, errors.of(half, self._names), of.correlation, since_s)
-        self.explains, self._left, self._misfit = False, None, math.inf
+        self.explains, self._left, self._misfit, self.unseen = False, None, math.inf, ()
         if not rows.share:
             return
         x = np.append(np.linalg.pinv(half) @ (mean - errors.centre), np.zeros(len(errors.sigma)))
@@ -278,6 +281,10 @@ class RowSuspects:
         except np.linalg.LinAlgError:  # Gauss and Newton have gone where rows are not linear
             return
         self.weighed, self._of_weighed, self.explains = weighed, errors, more is not None
+        if not weighed.names:
+            every = [one for one in weighed.counting if one.suspect is not None]
+            effects = zip(every, (weighed.effect(one, own) for one in every), strict=True)
+            self.unseen = tuple((one.weight, half @ shift, half @ root) for one, (shift, root) in effects)
         if more is None:
             return
         beyond: BeyondLinear | None = None

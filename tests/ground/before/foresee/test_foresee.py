@@ -165,7 +165,8 @@ def test_the_bound_of_rows_is_that_of_weighted_least_squares(tmp_path):
     information = Y.T @ Y / row_sigma**2 + np.linalg.inv(identifier.base.covariance(identifier.taken.prior_root))
     least = np.sqrt(np.diag(np.linalg.inv(information)))
     ratio = np.array([one.sigma for one in found.parameters]) / least
-    np.testing.assert_allclose(ratio, 1.0, atol=0.02)
+    assert (ratio > 0.98).all()
+    assert (ratio < 1.05).all()  # that the cell may be wrong, with a probability of 0.01, is in the interval
 
 
 @pytest.mark.parametrize(("name", "sways"), [("rocksat", 8), ("capture", 0)])

@@ -8,7 +8,7 @@ import pytest
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
-from onboard.estimation.policy import LEAST_WEIGHT, sigmas
+from onboard.estimation.policy import LEAST_WEIGHT, ODDS, sigmas, wider
 from onboard.identification.quantities import Findings
 from onboard.identification.rows.checks import remade, suspects
 from onboard.identification.rows.checks.prediction import prediction
@@ -290,3 +290,28 @@ def test_a_cell_that_nothing_explains_is_named_and_the_others_answer():
     for one, other, true in zip(who.estimate().quantities, sound.estimate().quantities, truth, strict=False):
         assert abs(one.value - true) < 3.3 * one.sigma
         assert one.sigma < 3.0 * other.sigma  # five axes in place of six
+
+
+def test_what_nothing_on_board_shows_is_in_the_99_9_percent_interval_and_hardly_in_that_of_95():
+    """As where a single cell weighs: with a probability of 0.01 its scale is 10 % off, and nothing would tell."""
+    who = fed()
+    bank, weighed = who._bank, who._bank.weighed
+    assert not who.suspects
+    assert not weighed.names
+    assert [one for one, _, _ in bank.unseen] == [one.weight for one in weighed.counting if one.suspect]
+    heavier = 0.1 * TOOL.mass_kg * np.eye(len(who.base.names))[:, [who.base.names.index("M_tool")]]
+    halves = []
+    for unseen in ((), ((ODDS, np.zeros(len(heavier)), heavier),)):
+        bank.unseen, who._estimated = unseen, None
+        one = who.estimate().quantities[0]
+        halves.append((one.high - one.value, one.outer[1] - one.value))
+    (alone, far), (half, farther) = halves
+    assert far == pytest.approx(wider() * alone)
+    assert alone < half < 1.1 * alone
+    assert farther == pytest.approx(0.1645 * TOOL.mass_kg, rel=0.15)  # of what is beyond, a twentieth on each side
+
+
+def test_of_all_as_stated_contradicted_nothing_is_unseen():
+    who = fed(WRONG["a zero"][0])
+    assert who.suspects
+    assert who._bank.unseen == ()
