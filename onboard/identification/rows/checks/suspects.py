@@ -19,7 +19,7 @@ motions the same as cells that all read too much.
 
 The answer is the mixture of all hypotheses that count, each with the mean and covariance that it has by these rows, in
 place of the recursion's. Where another hypothesis is likeliest than when they were weighed before, it is a mixture of
-both answers; where the sums name another than the kept ticks, of that of these and of all as stated.
+both answers.
 """
 
 import math
@@ -192,10 +192,6 @@ class RowSuspects:
             # of rows that contradict each other the recursion has those that agree with the first
             self._weigh(ticks, self._centre if contradicted else mean, of.correlation)
             self.explains = bool(self.weighed and self.weighed.contradicts) and not self.judged()[0]
-            another = self.weighed is not None and likeliest not in ((), self.weighed.names[:1])  # named by the sums
-            stated = of.taken.answer
-            if self.explains and another and self.answer and stated and stated.misfit <= MISFIT_PART:
-                self.answer = self.answer.or_else(stated.known)
             if not (likeliest or contradicted):
                 if of.taken.said:  # nothing is likelier wrong, but what is stated is taken wider for these rows
                     self.explains = bool(self.explanation) and (bool(self.judged()[0]) or self._is_noise())

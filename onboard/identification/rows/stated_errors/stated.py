@@ -74,7 +74,6 @@ class ByErrors(NamedTuple):
     along: FloatArray  # (p, s) covariance of the base parameters with each error, in stated sigmas
     shares: FloatArray  # (b, p, p) of what is known of the base parameters, by blocks of rows
     doubted: int | None  # number of the cell that contradicts all others
-    misfit: float  # of the instrument that it is most of
 
 
 class Taken(NamedTuple):
@@ -224,8 +223,7 @@ class StatedSigmas:
         X, n = rows.at(x), half.shape[1]
         along, keys = half @ P[:n], [self.stated[k].key for k in self._key.tolist()]
         known = Mixture(np.ones(1), (self._errors.centre + half @ x[:n])[None], (along[:, :n] @ half.T)[None])
-        of_rows = rows.shares(X, along.T), doubted, float(rows.misfits(X).max())
-        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, *of_rows)
+        return ByErrors(known, Causes(keys, np.ones(len(keys))), along, rows.shares(X, along.T), doubted)
 
     def _of_one_factor(self, rows: ErrorEquations, X: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The same equations with a common factor of what is drawn, and about what: its error is then of any size.

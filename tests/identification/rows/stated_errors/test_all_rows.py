@@ -216,3 +216,13 @@ def test_a_cell_that_contradicts_all_others_counts_as_one_row(rng):
 def test_where_no_cell_or_several_contradict_the_others_all_count(rng, slow):
     rows = equations(flown(rng, slow=slow))
     assert that_agree(rows, np.concatenate([BETA / PRIOR, np.zeros(3)]), range(3)) == (rows, None)
+
+
+def test_derivatives_of_what_is_left_over_are_differences(rng):
+    rows = equations(flown(rng))
+    X, step = np.concatenate([BETA, [0.3, -0.2, 0.1]]), 1e-6
+    for part in rows._parts:
+        J, _ = rows._linear(part, X)
+        for k in range(len(X)):
+            plus, minus = (rows._linear(part, X + way * step * np.eye(len(X))[k])[1] for way in (1.0, -1.0))
+            np.testing.assert_allclose(J[:, k], (plus - minus) / (2.0 * step), atol=1e-8)
