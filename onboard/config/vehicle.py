@@ -83,7 +83,8 @@ else:  # the kinds that the registry finds
 class VehicleSection(Section):
     """The vehicle. ``base``: kind of base (motion and wrench known or unknown).
 
-    ``gravity_m_s2``: in base axes; counts on a table, and where the base is fixed and no device is an IMU.
+    ``gravity_m_s2``: in base axes; counts on a table, and where the base is fixed: an IMU there tells its direction,
+    and has to read as much.
     ``essential``: devices without which a flight has failed: ``heft fly`` ends with 1 if one of them never said a word.
     """
 

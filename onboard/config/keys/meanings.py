@@ -46,7 +46,8 @@ MEANINGS: dict[type[Section], dict[str, KeyMeaning]] = {
             "name what the answer cannot do without",
         ),
         "gravity_m_s2": _M(
-            "Gravity in base axes; counts on a table, and where the base is fixed and no device is an IMU.",
+            "Gravity in base axes; counts on a table, and where the base is fixed: an IMU there tells its direction, "
+            "and has to read as much.",
             "the bench is tilted, or stands at another latitude",
         ),
     },

@@ -27,6 +27,8 @@ class _Judged(Protocol):
     @property
     def suspects(self) -> RowSuspects | None: ...
     @property
+    def of_gravity(self) -> tuple[tuple[str, ...], tuple[str, ...]]: ...
+    @property
     def contradicted(self) -> str: ...
     @property
     def taken(self) -> Taken: ...
@@ -56,6 +58,7 @@ def found(of: _Judged) -> Findings:
             doubts.append(f"{name} contradicts the others by more than its noise, and hardly counts")
     else:
         judged = [of.suspects.judged()]
+    judged.append(of.of_gravity)
     judged += [judged_drawing(quantity, jackknife, of.considered) for quantity in of.quantities]
     errors = of.fitted_errors
     judged.append(((errors.misread,) if errors and errors.misread else (),))

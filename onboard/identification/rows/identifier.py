@@ -204,6 +204,11 @@ class Identifier:
         """Those whose answer takes the place of the recursion's, if there are."""
         return self._bank if self._bank is not None and self._bank.explains else None
 
+    @property
+    def of_gravity(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Reasons to refuse all estimates, and to doubt them, by what an IMU reads of a base that stands."""
+        return self._bank.of_gravity if self._bank is not None else ((), ())
+
     def finish(self) -> None:
         """Judge all rows, and not a fifth less: no more come."""
         self._is_over, self._estimated = True, None

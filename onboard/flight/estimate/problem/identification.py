@@ -234,6 +234,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             quantities += mass_quantities(row_model, base, settings.masses.joint, settings.masses.arm_link, drawing)
         if vehicle.file.free_body:
             quantities += free_body_quantities(row_model, base, prior)
+        gravity_m_s2 = float(np.linalg.norm(vehicle.file.vehicle.gravity_m_s2)) if roles.imus else 0.0
         identifier = Identifier(
             row_model,
             base,
@@ -247,7 +248,7 @@ def build_identifier(vehicle: config.Vehicle) -> tuple[Identifier, VehicleModel]
             start=_start(vehicle, base.names) if settings.carried else None,
             whitening=_whitening(vehicle, model, len(rows), (len(base.names) + 1) * (1 + len(considered))),
             stated=stated_by(vehicle.file.estimation.prior, row_model),
-            suspects=RowSuspects(row_model, base, prior, considered) if weighed else None,
+            suspects=RowSuspects(row_model, base, prior, considered, gravity_m_s2) if weighed else None,
             recorded_apart=vehicle.is_recorded,
         )
     return identifier, model

@@ -19,6 +19,7 @@ from onboard.flight.estimate.readings.roles import roles_of
 from onboard.identification.free_flyer.prediction.further import DisturbancePrior, Further, FurtherPose, PosePrior
 from onboard.identification.free_flyer.prediction.imu_errors import ImuPrior
 from onboard.identification.free_flyer.prediction.parameters import GeometryPrior, JointPrior, SpringPrior
+from onboard.identification.rows.checks.gravity import LOCAL_GRAVITY
 from onboard.regressor.prior import LinkSigmas, prior_root
 from onboard.regressor.rows import RowModel
 
@@ -27,9 +28,8 @@ UNTOLD_m_s2 = 4e-4
 # Of a free body's IMU: as heft init writes them for a free base. A consumer's chip over its temperatures, once zeroed:
 # the data sheet of the BMI088 has 0.2 mg/K and 0.015 deg/s/K, 50 and 33 K of which these are.
 UNTOLD_BIAS_m_s2, UNTOLD_BIAS_rad_s = 0.1, 8.7e-3
-# Of an arm's base: a degree, the general tolerance of angles of short sides (ISO 2768-1, class m). Relative, of gravity
-# where it is not stated: 9.780 to 9.832 m/s^2 on the ground (WGS 84), as a uniform distribution.
-UNTOLD_LEVEL_rad, _LOCAL_GRAVITY = 0.0175, 1.5e-3
+# Of an arm's base: a degree, the general tolerance of angles of short sides (ISO 2768-1, class m).
+UNTOLD_LEVEL_rad = 0.0175
 
 
 def free_flyer_prior(
@@ -116,7 +116,7 @@ def level_root(vehicle: config.Vehicle, roles: Roles) -> FloatArray | None:
         return None
     g = np.array(keys.gravity_m_s2)
     along = np.outer(g, g) / (g @ g) if g.any() else np.zeros((3, 3))
-    return np.asarray(np.linalg.norm(g) * (sigma_rad * (np.eye(3) - along) + _LOCAL_GRAVITY * along), np.float64)
+    return np.asarray(np.linalg.norm(g) * (sigma_rad * (np.eye(3) - along) + LOCAL_GRAVITY * along), np.float64)
 
 
 def disturbance_prior(vehicle: config.Vehicle, model: VehicleModel, *, tracked: bool = False) -> DisturbancePrior:

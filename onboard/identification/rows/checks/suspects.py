@@ -41,6 +41,7 @@ from onboard.identification.evidence.bank import Hypothesis, Weighed
 from onboard.identification.evidence.mixture import Known, Mixture
 from onboard.identification.rows.checks.agreement import MOST_UNEXPLAINED
 from onboard.identification.rows.checks.beyond_linear import BeyondLinear
+from onboard.identification.rows.checks.gravity import judged_gravity
 from onboard.identification.rows.checks.remade import KeptTicks, RowsRemade, SmoothedTicks
 from onboard.identification.rows.checks.suspected import ErrorState
 from onboard.identification.rows.checks.tick_rows import Shares, TickRows
@@ -77,6 +78,7 @@ class RowSuspects:
         base: their base parameters.
         prior_root: L of the prior covariance of the standard parameters, (P, P).
         considered: errors that the recursion considers.
+        gravity_m_s2: of the place, where an IMU reads it of the base.
 
     Attributes:
         weighed: the hypotheses, once there are rows enough.
@@ -87,8 +89,14 @@ class RowSuspects:
     """
 
     def __init__(
-        self, model: RowModel, base: BaseParameters, prior_root: FloatArray, considered: Sequence[Considered]
+        self,
+        model: RowModel,
+        base: BaseParameters,
+        prior_root: FloatArray,
+        considered: Sequence[Considered],
+        gravity_m_s2: float = 0.0,
     ) -> None:
+        self._gravity_m_s2, self._considered = gravity_m_s2, considered
         self._errors = errors = ErrorState(model, base, prior_root, considered)
         self._of_all_rows = ErrorState(model, base, prior_root, considered, remade=False)
         self._remade = RowsRemade(model, base, errors.of_instruments)
@@ -103,6 +111,13 @@ class RowSuspects:
         self.unseen: tuple[tuple[float, FloatArray, FloatArray], ...] = ()
         self._before: tuple[str, Mixture] | None = None  # likeliest of the last weighing, and the answer by it alone
         self.explains, self._misfit = False, math.inf  # with all as stated
+
+    @property
+    def of_gravity(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Reasons to refuse all estimates, and to doubt them, by how much of it an IMU reads."""
+        if self._kept.ticks is None or not self._gravity_m_s2:
+            return (), ()
+        return judged_gravity(self._kept.ticks.force, self._gravity_m_s2, self._considered)
 
     @property
     def explanation(self) -> str:
