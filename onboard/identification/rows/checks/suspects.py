@@ -28,6 +28,7 @@ from typing import Protocol
 
 import numpy as np
 
+from onboard.dynamics.model.errors import SignalError
 from onboard.estimation.arrays import BoolArray, FloatArray, IndexArray
 from onboard.estimation.policy import (
     AGAIN,
@@ -248,15 +249,19 @@ class RowSuspects:
         about = np.zeros(n + len(self._errors.sigma))
         about[:n] = np.linalg.pinv(half) @ (mean - self._centre)
         noise = np.ones(ticks.weight.shape[1])
-        for _ in range(ROUNDS):
-            A, b, left = rows.equations(about, noise)
+        A, b, left = rows.equations(about, noise)
+        for further in reversed(range(ROUNDS)):
             P = np.asarray(np.linalg.inv(A + np.eye(len(A))), np.float64)
             weighed = self._errors.bank.weigh((P @ b, P))
             before, louder = about, noise
             about, covariance = weighed.known(weighed.likeliest)
             noise = left.noise(about, noise)
             moved = float((np.abs(about - before) / np.sqrt(np.diag(covariance))).max())
-            if moved < SETTLED and np.allclose(noise, louder, rtol=SETTLED):
+            if not further or (moved < SETTLED and np.allclose(noise, louder, rtol=SETTLED)):
+                break
+            try:
+                A, b, left = rows.equations(about, noise)
+            except (np.linalg.LinAlgError, SignalError):  # Gauss and Newton have gone where no motion is
                 break
         self.weighed, self._of_weighed, self._left = weighed, self._errors, left.shares(about, noise)
         self.answer = weighed.mixed(lambda one: self._of_base(half, *weighed.known(one, slice(0, n))))

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from onboard.dynamics.model.errors import SignalError
 from onboard.dynamics.model.inertia import RigidBody, elements
 from onboard.dynamics.model.payload import body_of
 from onboard.dynamics.model.urdf import with_bodies
@@ -315,3 +316,21 @@ def test_of_all_as_stated_contradicted_nothing_is_unseen():
     who = fed(WRONG["a zero"][0])
     assert who.suspects
     assert who._bank.unseen == ()
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError, SignalError])
+def test_where_gauss_and_newton_have_gone_where_no_motion_is_the_last_answer_counts(monkeypatch, error):
+    """No estimator ends in flight."""
+    who, made, weigh = fed(WRONG["a zero"][0]), [], TickRows.equations
+
+    def once(*of):
+        made.append(True)
+        if len(made) > 1:
+            raise error
+        return weigh(*of)
+
+    monkeypatch.setattr(TickRows, "equations", once)
+    who._bank._weigh(who._bank._kept.ticks, who.rls.solve().mean, who.correlation)
+    assert len(made) == 2
+    assert who._bank.weighed.names
+    assert np.isfinite(who._bank.answer.known[0]).all()
