@@ -110,13 +110,12 @@ class GraspedPayload:
         numbers = np.column_stack([value, sigma, value - half, value + half])
         numbers[weak] = np.nan
         said = ["not determined by the data so far" if lost else "" for lost in weak]
-        each = zip(self.names, BODY_UNITS, numbers.tolist(), shrinkage, weak, said, found.far.tolist(), strict=True)
-        return tuple(
-            QuantityEstimate(name, unit, of[0], of[1], of[2], of[3], not lost, shrinkage=float(s), note=note).as_far(
-                far
-            )
-            for name, unit, of, s, lost, note, far in each
+        each = zip(self.names, BODY_UNITS, numbers.tolist(), shrinkage.tolist(), weak, said, strict=True)
+        told = (
+            QuantityEstimate(name, unit, of[0], of[1], of[2], of[3], not lost, shrinkage=s, note=note)
+            for name, unit, of, s, lost, note in each
         )
+        return tuple(one.as_far(far) for one, far in zip(told, found.far.tolist(), strict=True))
 
 
 def contradiction(names: Sequence[str], jackknife: JackknifeEstimate, prior: FloatArray, covariance: FloatArray) -> str:
